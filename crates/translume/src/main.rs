@@ -1,0 +1,3 @@
+//! The command line: parse, load, call, save. No algorithm lives here.
+
+fn main() {}
