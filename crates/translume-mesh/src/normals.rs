@@ -48,10 +48,9 @@ impl TriMesh {
                 });
             }
         }
-        let pick = |from: &[[f32; 3]]| vertices.iter().map(|&v| from[v as usize]).collect::<Vec<_>>();
-        self.positions = pick(&self.positions);
-        self.colors = self.colors.as_deref().map(pick);
-        self.uvs = self.uvs.as_ref().map(|uvs| vertices.iter().map(|&v| uvs[v as usize]).collect());
+        self.positions = pick(&vertices, &self.positions);
+        self.colors = self.colors.as_deref().map(|colors| pick(&vertices, colors));
+        self.uvs = self.uvs.as_deref().map(|uvs| pick(&vertices, uvs));
         self.normals = Some(normals);
         self.indices = indices;
     }
@@ -62,6 +61,10 @@ impl TriMesh {
         let normal = (b - a).cross(c - a);
         if normal.is_finite() { normal } else { DVec3::ZERO }
     }
+}
+
+fn pick<T: Copy>(vertices: &[u32], from: &[T]) -> Vec<T> {
+    vertices.iter().map(|&v| from[v as usize]).collect()
 }
 
 fn unit(sum: DVec3) -> [f32; 3] {

@@ -103,7 +103,7 @@ fn parse(bytes: &[u8]) -> Parsed<(TriMesh, Vec<String>)> {
         match element.name.as_str() {
             "vertex" => vertices(&mut source, element, &mut mesh)?,
             "face" => faces(&mut source, element, &mut polygons, &mut warnings)?,
-            "tristrips" => faces(&mut source, element, &mut polygons.strips(), &mut warnings)?,
+            "tristrips" => faces(&mut source, element, polygons.strips(), &mut warnings)?,
             _ => skip(&mut source, element)?,
         }
     }
@@ -316,7 +316,7 @@ const SLOTS: [&[&str]; 11] = [
 fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parsed<()> {
     let slot = |p: &Property| SLOTS.iter().position(|names| p.length.is_none() && names.contains(&p.name.as_str()));
     let slots: Vec<Option<usize>> = element.properties.iter().map(slot).collect();
-    let has = |range: std::ops::Range<usize>| range.clone().all(|s| slots.contains(&Some(s)));
+    let has = |mut range: std::ops::Range<usize>| range.all(|s| slots.contains(&Some(s)));
     if !has(0..3) {
         return invalid("the vertices have no x, y, z");
     }

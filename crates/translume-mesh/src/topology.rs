@@ -196,9 +196,8 @@ impl Surface {
 
 /// Vertices whose corners fall into several fans.
 fn split_vertices(triangles: &[[u32; 3]], faces: &[usize], fans: &mut Sets) -> usize {
-    let mut roots: Vec<(u32, usize)> = (0..3 * faces.len())
-        .filter_map(|corner| (fans.root(corner) == corner).then(|| (triangles[faces[corner / 3]][corner % 3], corner)))
-        .collect();
+    let roots = (0..3 * faces.len()).filter(|&corner| fans.root(corner) == corner);
+    let mut roots: Vec<(u32, usize)> = roots.map(|corner| (triangles[faces[corner / 3]][corner % 3], corner)).collect();
     roots.sort_unstable();
     roots.chunk_by(|x, y| x.0 == y.0).filter(|fans| fans.len() > 1).count()
 }
