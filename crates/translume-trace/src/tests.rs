@@ -209,9 +209,11 @@ fn grazing_rays_hit_what_double_precision_hits() {
         let hit = g.intersect(&ray);
         // The parameter is as badly conditioned as the angle is flat, the point is not: it must lie on the ray.
         if let Some(hit) = hit {
-            let off = (g.surface(&ray, &hit).p - ray.o).cross(ray.d.normalize()).length();
-            // Roundings of the position divided by the angle: how far it may slide within the triangle.
-            assert!(off < 2e-7 / tilt, "{off}");
+            let surface = g.surface(&ray, &hit);
+            let off = (surface.p - ray.o).cross(ray.d.normalize()).length();
+            let sine = surface.ng.dot(ray.d.normalize()).abs();
+            // Roundings of the position divided by the angle: how far it may slide within a triangle, of size 0.1 here.
+            assert!(off < 1e-6 + 2e-7 * 0.1 / sine, "{off} {sine}");
         }
         wrong += usize::from(hit.is_some() != brute_force(&mesh, &ray).is_some());
     }
