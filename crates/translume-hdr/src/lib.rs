@@ -17,6 +17,7 @@ mod merge;
 mod plane;
 mod response;
 mod sampling;
+mod sets;
 mod warp;
 mod weight;
 
@@ -27,12 +28,13 @@ pub use ghost::GhostParams;
 pub use merge::Weights;
 use response::solve_channel;
 pub use response::{NODES, Response};
+pub use sets::{Grouping, group, parse_list, parse_seconds};
 pub use weight::{Noise, spline};
 
 use exposure::Shot;
 use rayon::prelude::*;
 use std::time::Instant;
-use translume_image::{Rgb32FImage, Samples};
+use translume_image::Rgb32FImage;
 
 /// What can go wrong with a bracket.
 #[derive(Debug, thiserror::Error)]
@@ -293,13 +295,4 @@ fn check_ratios(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize])
 /// Share of pixels whose confidence is below one half, per picture.
 pub fn ghost_share(confidence: &[u8]) -> f64 {
     confidence.iter().filter(|c| **c < 128).count() as f64 / confidence.len().max(1) as f64
-}
-
-/// Number of samples of a picture in bytes, for memory estimates.
-pub fn samples_size(samples: &Samples) -> usize {
-    match samples {
-        Samples::U8(v) => v.len(),
-        Samples::U16(v) => 2 * v.len(),
-        Samples::F32(v) => 4 * v.len(),
-    }
 }

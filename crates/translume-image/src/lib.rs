@@ -16,6 +16,7 @@ pub mod limits;
 mod linear;
 mod orient;
 mod picture;
+pub mod primaries;
 mod raster;
 mod read;
 pub mod tonemap;
