@@ -11,7 +11,7 @@
 //! is what a misregistration of half a pixel explains.
 
 use crate::align::Aligned;
-use crate::decode::Decoder;
+use crate::decode::{Decoder, Kind};
 use crate::exposure::Shot;
 use crate::warp::{self, Strip};
 use rayon::prelude::*;
@@ -224,7 +224,7 @@ impl Table {
     fn new(decoder: &Decoder, f: impl Fn(usize, f32) -> f32) -> Self {
         let tabulate =
             || (0..=Self::SIZE).map(|i| std::array::from_fn(|c| f(c, i as f32 / Self::SIZE as f32))).collect();
-        Self(matches!(decoder, Decoder::Curve { .. }).then(tabulate))
+        Self(matches!(decoder.kind, Kind::Curve(_)).then(tabulate))
     }
 
     #[inline]

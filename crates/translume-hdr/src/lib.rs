@@ -17,6 +17,7 @@ mod merge;
 mod plane;
 mod response;
 mod sampling;
+mod sets;
 mod warp;
 mod weight;
 
@@ -27,12 +28,13 @@ pub use ghost::GhostParams;
 pub use merge::Weights;
 use response::solve_channel;
 pub use response::{NODES, Response};
+pub use sets::{Grouping, group, parse_list, parse_seconds};
 pub use weight::{Noise, spline};
 
 use exposure::Shot;
 use rayon::prelude::*;
 use std::time::Instant;
-use translume_image::{Rgb32FImage, Samples};
+use translume_image::Rgb32FImage;
 
 /// What can go wrong with a bracket.
 #[derive(Debug, thiserror::Error)]
@@ -138,8 +140,8 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     };
     let solve = params.response.is_none() && !params.linear && !exposures[0].codes.is_linear();
     if solve {
-        let samples: [Vec<response::Sample>; 3] = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
-        set_all(&mut shots, &solve_response(&samples, exposures)?);
+        let samples = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
+        set_all(&mut shots, &solve_response(&samples, exposures, None)?);
     }
     clock.lap("prepare");
 
@@ -152,9 +154,10 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     let points = sampling::aligned_points(&shots, &aligned, anchor);
     if solve {
         let samples: [Vec<response::Sample>; 3] =
-            std::array::from_fn(|c| points.iter().map(|p| p.codes.iter().map(|v| v.map(|v| v[c])).collect()).collect());
+            std::array::from_fn(|c| sampling::comparagram_samples(&shots, &points, &order, c));
         // Too few flat points (a tiny picture): the histogram's curve stands.
-        if let Ok(r) = solve_response(&samples, exposures) {
+        let preliminary = shots[anchor].response().cloned();
+        if let Ok(r) = solve_response(&samples, exposures, preliminary.as_ref()) {
             set_all(&mut shots, &r);
         }
     }
@@ -186,10 +189,7 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     clock.lap("merge");
 
     let (w, h) = (shots[anchor].width() as u32, shots[anchor].height() as u32);
-    let response = match &shots[anchor].decoder {
-        decode::Decoder::Curve { response, .. } => Some(response.clone()),
-        decode::Decoder::Float { .. } => None,
-    };
+    let response = shots[anchor].response().cloned();
     let radiance = Rgb32FImage::from_raw(w, h, values).ok_or_else(|| Error::Bracket("picture too large".into()))?;
     Ok(Merged {
         radiance,
@@ -225,9 +225,16 @@ impl Clock {
     }
 }
 
-fn solve_response(samples: &[Vec<response::Sample>; 3], exposures: &[Exposure]) -> Result<Response> {
+fn solve_response(
+    samples: &[Vec<response::Sample>; 3],
+    exposures: &[Exposure],
+    start: Option<&Response>,
+) -> Result<Response> {
     let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
-    let curves: Vec<Vec<f32>> = samples.par_iter().map(|s| solve_channel(s, &log_secs)).collect::<Result<_>>()?;
+    let curves: Vec<Vec<f32>> = (0..3usize)
+        .into_par_iter()
+        .map(|c| solve_channel(&samples[c], &log_secs, start.map(|r| &r.log_exposure[c][..])))
+        .collect::<Result<_>>()?;
     let [r, g, b] = <[Vec<f32>; 3]>::try_from(curves).map_err(|_| Error::Response("no three channels".into()))?;
     Ok(Response { log_exposure: [r, g, b] })
 }
@@ -288,13 +295,4 @@ fn check_ratios(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize])
 /// Share of pixels whose confidence is below one half, per picture.
 pub fn ghost_share(confidence: &[u8]) -> f64 {
     confidence.iter().filter(|c| **c < 128).count() as f64 / confidence.len().max(1) as f64
-}
-
-/// Number of samples of a picture in bytes, for memory estimates.
-pub fn samples_size(samples: &Samples) -> usize {
-    match samples {
-        Samples::U8(v) => v.len(),
-        Samples::U16(v) => 2 * v.len(),
-        Samples::F32(v) => 4 * v.len(),
-    }
 }

@@ -99,13 +99,7 @@ fn weight_of(m: &Merge<'_>, k: usize, c: usize, u: f32) -> f32 {
         }
         Weights::Variance(noise) => {
             // Exposure as a share of full range, whatever the curve.
-            let full = d.log_exposure(
-                c,
-                match d {
-                    crate::decode::Decoder::Float { full, .. } => *full,
-                    crate::decode::Decoder::Curve { .. } => 1.0,
-                },
-            );
+            let full = d.full_range(c);
             let variance = noise.log_variance((d.log_exposure(c, u) - full).exp());
             // Fades out over the last tenth below clipping.
             let fade = ((crate::decode::CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);

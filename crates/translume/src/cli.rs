@@ -112,4 +112,59 @@ mod tests {
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
     }
+
+    /// Walks down to every verb that runs something.
+    fn leaves(command: &clap::Command, path: &str, visit: &mut dyn FnMut(&clap::Command, &str)) {
+        let path = format!("{path} {}", command.get_name());
+        if !command.has_subcommands() {
+            visit(command, path.trim_start());
+        }
+        command.get_subcommands().for_each(|below| leaves(below, &path, visit));
+    }
+
+    #[test]
+    fn every_verb_says_what_it_does_and_gives_an_example() {
+        let mut seen = 0;
+        leaves(&Cli::command(), "", &mut |command, path| {
+            seen += 1;
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            assert!(
+                !about.is_empty() && !about.ends_with('.'),
+                "{path}: one line of help without a full stop: {about}"
+            );
+            let after = command.get_after_long_help().map(ToString::to_string).unwrap_or_default();
+            assert!(after.starts_with("Examples:\n"), "{path}: its long help ends with examples");
+            assert!(after.contains(path), "{path}: the examples use it");
+        });
+        assert!(seen >= 2);
+    }
+
+    #[test]
+    fn every_option_is_explained() {
+        leaves(&Cli::command(), "", &mut |command, path| {
+            for arg in command.get_arguments() {
+                assert!(
+                    arg.get_help().is_some_and(|h| !h.to_string().is_empty()),
+                    "{path}: {} has no help",
+                    arg.get_id()
+                );
+            }
+        });
+    }
+
+    /// The examples are command lines that this program accepts, with the required options and no others.
+    #[test]
+    fn examples_parse() {
+        leaves(&Cli::command(), "", &mut |command, path| {
+            let after = command.get_after_long_help().expect("tested above").to_string();
+            let joined = after.replace("\\\n", " ");
+            for line in joined.lines().filter_map(|l| l.trim().strip_prefix("translume ")) {
+                let words = line.split_whitespace().take_while(|w| !["|", ">", "&&", "2>"].contains(w));
+                let argv = std::iter::once("translume").chain(words);
+                if let Err(e) = Cli::command().try_get_matches_from(argv) {
+                    assert!(!e.use_stderr(), "{path}: the example `translume {line}`: {e}");
+                }
+            }
+        });
+    }
 }

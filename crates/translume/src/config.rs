@@ -39,9 +39,9 @@ pub(crate) enum Request {
 /// A [`clap::Error`] (help and version among them) or [`Usage`] for what the user can mend in the command line or the
 /// file; an I/O error for a file that cannot be read.
 pub(crate) fn resolve(mut command: Command, mut argv: Vec<OsString>) -> Result<Request> {
-    command.build();
     // What is still missing may be in the file: look without judging first.
     let lenient = command.clone().ignore_errors(true);
+    command.build();
     let given = lenient.clone().try_get_matches_from(&argv)?;
     let verb = Chosen::find(&command, &given);
     let file = verb.matches.get_one::<std::path::PathBuf>("config");
@@ -187,7 +187,9 @@ impl<'a> Chosen<'a> {
         let key = key(arg);
         let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
         let _ = writeln!(text, "# {}", help.lines().next().unwrap_or_default());
-        let default_and_excluded = !is_given(self.matches, arg)
+        // A default that a given option excludes would, read back, be a contradiction.
+        let default_and_excluded = arg.get_action().takes_values()
+            && !is_given(self.matches, arg)
             && self.command().get_arguments().any(|a| is_given(self.matches, a) && conflict(self.command(), arg, a));
         let _ = match effective_value(self.matches, arg)? {
             Some(value) if default_and_excluded => writeln!(text, "# {key} = {value}"),
@@ -291,9 +293,13 @@ fn occurrences(arg: &Arg, value: &Value) -> Result<Vec<Vec<String>>> {
         Value::Float(f) => Ok(f.to_string()),
         other => Ok(other.to_string()),
     };
-    let list = |value: &Value| match value {
-        Value::Array(values) => values.iter().map(scalar).collect::<Result<Vec<_>, _>>(),
-        one => Ok(vec![scalar(one)?]),
+    let list = |value: &Value| -> Result<Vec<String>, Usage> {
+        let Value::Array(values) = value else { return Ok(vec![scalar(value)?]) };
+        let values = values.iter().map(scalar).collect::<Result<Vec<_>, _>>()?;
+        Ok(match arg.get_value_delimiter() {
+            Some(delimiter) if !values.is_empty() => vec![values.join(&delimiter.to_string())],
+            _ => values,
+        })
     };
     let takes_several = arg.get_num_args().is_some_and(|n| n.min_values() > 1);
     let repeats = matches!(arg.get_action(), ArgAction::Append);
@@ -354,4 +360,124 @@ fn as_toml(text: &str) -> Value {
 
 fn full_name(path: &[&Command]) -> String {
     std::iter::once("translume").chain(path.iter().map(|c| c.get_name())).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{ArgGroup, value_parser};
+
+    /// A nested verb with one option of every kind.
+    fn command() -> Command {
+        let flag = |name| Arg::new(name).long(name).action(ArgAction::SetTrue);
+        let number = |name| Arg::new(name).long(name).value_parser(value_parser!(f32)).allow_negative_numbers(true);
+        let tone = Command::new("tone").args([
+            Arg::new("inputs").required(true).num_args(1..),
+            number("gain").default_value("1"),
+            flag("auto").conflicts_with("gain"),
+            Arg::new("crop").long("crop").num_args(2).action(ArgAction::Append).allow_negative_numbers(true),
+            Arg::new("layer_name").long("layer-name").action(ArgAction::Append),
+            Arg::new("weights").long("weights").value_delimiter(',').value_parser(value_parser!(f32)),
+            Arg::new("keep").long("no-keep").action(ArgAction::SetFalse),
+            flag("fast"),
+            flag("slow"),
+            Arg::new("output").short('o').long("output").required(true),
+        ]);
+        let tone = tone.group(ArgGroup::new("speed").args(["fast", "slow"]));
+        let globals = [
+            Arg::new("config").long("config").global(true).value_parser(value_parser!(std::path::PathBuf)),
+            flag("print_config").long("print-config").global(true),
+            Arg::new("verbose").short('v').action(ArgAction::Count).long("verbose").global(true),
+        ];
+        Command::new("translume")
+            .args(globals)
+            .subcommand(Command::new("image").subcommand(tone).subcommand(Command::new("info").arg(flag("long"))))
+    }
+
+    fn resolve_with(file: &str, arguments: &str) -> Result<Request> {
+        let path = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(&path, file).unwrap();
+        let argv = std::iter::once("translume").chain(arguments.split_whitespace()).map(OsString::from);
+        let argv = argv.chain(["--config".into(), path.path().into()]).collect();
+        resolve(command(), argv)
+    }
+
+    /// What the verb gets, as `--print-config` shows it, without the comments.
+    fn effective(file: &str, arguments: &str) -> Table {
+        match resolve_with(file, &format!("{arguments} --print-config")).unwrap() {
+            Request::Print(text) => text.parse().unwrap_or_else(|e| panic!("{e}\n{text}")),
+            Request::Run { .. } => panic!("was to print"),
+        }
+    }
+
+    fn error(file: &str, arguments: &str) -> String {
+        match resolve_with(file, arguments) {
+            Err(e) => output::one_line(&e),
+            Ok(_) => panic!("was to fail: {file}"),
+        }
+    }
+
+    const FULL: &str = "verbose = 2\n[image.tone]\ninputs = ['-a b', 'c']\ngain = -0.25\ncrop = [[1, -2], [3, 4]]\n\
+        layer-name = ['x', '-y']\nweights = [1, 0.5]\nno-keep = true\nfast = true\nslow = false\noutput = 'o p'\n";
+
+    #[test]
+    fn every_kind_of_option_goes_round() {
+        let first = effective(FULL, "image tone");
+        let mut expected: Table = FULL.parse().unwrap();
+        expected["image"]["tone"].as_table_mut().unwrap().insert("auto".into(), false.into());
+        assert_eq!(first, expected);
+        assert_eq!(effective(&first.to_string(), "image tone"), first);
+    }
+
+    #[test]
+    fn underscores_and_the_table_of_the_verb() {
+        let found =
+            effective("gain = 2\n[image]\ngain = 3\n[image.tone]\nlayer_name = 'z'\noutput = 'p'", "image tone i");
+        assert_eq!(found["image"]["tone"]["gain"], 3.into());
+        assert_eq!(found["image"]["tone"]["layer-name"], Value::Array(vec!["z".into()]));
+    }
+
+    #[test]
+    fn the_command_line_wins_and_excludes() {
+        let found = effective(FULL, "image tone d --auto --slow --layer-name=w -v");
+        let tone = &found["image"]["tone"];
+        assert_eq!(tone["inputs"], Value::Array(vec!["d".into()]));
+        assert_eq!(tone["layer-name"], Value::Array(vec!["w".into()]));
+        assert_eq!((&tone["auto"], &tone["slow"], &tone["fast"]), (&true.into(), &true.into(), &false.into()));
+        // The default of an excluded option is not written down as if it had been asked for.
+        assert_eq!(tone.get("gain"), None);
+        assert_eq!(found["verbose"], 1.into());
+    }
+
+    #[test]
+    fn a_verb_runs_on_what_the_file_gives() {
+        let Request::Run { matches, argv } = resolve_with(FULL, "image tone").unwrap() else { panic!("was to run") };
+        let (_, matches) = matches.subcommand().unwrap();
+        let (_, matches) = matches.subcommand().unwrap();
+        assert_eq!(matches.get_many::<String>("inputs").unwrap().collect::<Vec<_>>(), ["-a b", "c"]);
+        assert_eq!(matches.get_one::<f32>("gain"), Some(&-0.25));
+        assert_eq!(argv.last().unwrap(), "c");
+    }
+
+    #[test]
+    fn mistakes_are_told() {
+        assert!(error("", "image tone").contains("<inputs>"));
+        assert!(error("[image.tone]\ngain = 'much'", "image tone i -o o").contains("much"));
+        assert!(error("[image.tone]\ngain = [1, 2]", "image tone i -o o").contains("gain"));
+        assert!(error("[image.tone]\ncrop = [1, 2, 3]", "image tone i -o o").contains("crop"));
+        assert!(error("[image.tone]\nfast = 'yes'", "image tone i -o o").contains("fast"));
+        assert!(error("[image.tone]\nlong = true", "image tone i -o o").contains("long"));
+        assert!(error("[image.tune]\ngain = 1", "image tone i -o o").contains("tune"));
+        assert!(error("help = true", "image tone i -o o").contains("help"));
+        assert!(error("[image.tone]\nauto = true\ngain = 3", "image tone i -o o").contains("cannot be used with"));
+    }
+
+    #[test]
+    fn tables_of_other_verbs_are_only_checked() {
+        assert_eq!(
+            effective("[image.info]\nlong = true\n[image.tone]\ngain = 4", "image tone")["image"]["tone"]["gain"],
+            4.into()
+        );
+        assert!(error("[image.info]\nlang = true", "image tone i -o o").contains("lang"));
+    }
 }

@@ -5,13 +5,16 @@
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
 mod completions;
+mod hdr;
 mod man;
 
 use crate::output::Context;
 
 /// What the program can do, in the order of the help.
 #[derive(Debug, clap::Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
 pub(crate) enum Verb {
+    Hdr(hdr::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -20,6 +23,7 @@ impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
+            Self::Hdr(args) => hdr::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
