@@ -230,7 +230,7 @@ fn serialized_refusals() {
     bytes = good.clone();
     bytes[n - 12..n - 4].copy_from_slice(&u64::MAX.to_le_bytes());
     assert!(refusal("serialized", &bytes).contains("beyond the end"));
-    bytes = good.clone();
+    bytes = good;
     bytes.copy_within(n - 20..n - 12, n - 12);
     assert!(refusal("serialized", &bytes).contains("do not increase"));
     // A stream that promises 2^60 vertices.

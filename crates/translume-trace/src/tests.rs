@@ -135,7 +135,7 @@ fn count_leaks(mesh: &TriMesh, scale: f32, rays: usize, seed: u64) -> usize {
     let ray = |i: usize| {
         let corners = mesh.corners(rng.next_u32() as usize % mesh.indices.len());
         // Every third at a vertex, the others at an edge.
-        let s = if i % 3 == 0 { 0.0 } else { rng.next_f32() };
+        let s = if i.is_multiple_of(3) { 0.0 } else { rng.next_f32() };
         let target = corners[0] + s * (corners[1] - corners[0]);
         let o = center + 0.3 * scale * in_cube(&mut rng);
         Ray::new(o, target - o)
