@@ -35,8 +35,6 @@ impl Default for GhostParams {
 const CORRELATION: usize = 5;
 /// Half side of the window over which gaps are averaged.
 const AVERAGE: usize = 2;
-/// What the response estimate may be off, in ln units.
-const TOLERANCE: f32 = 0.03;
 /// Rows per strip, without the windows' margin.
 const ROWS: usize = 48;
 /// Gap beyond which a pixel counts no more.
@@ -142,7 +140,7 @@ fn gaps(
                     worst = worst.max(gap(mine, shift(s.decoder.interval(c, around[c].0, around[c].1), s.log_secs)));
                 }
             }
-            out[p] = (worst - TOLERANCE).clamp(0.0, GAP_CAP);
+            out[p] = (worst - b.tolerance).clamp(0.0, GAP_CAP);
         }
     }
     out

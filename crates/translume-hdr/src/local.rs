@@ -204,6 +204,8 @@ struct Measurement {
 
 /// Half side of the window of a node.
 const WINDOW: isize = 14;
+/// Least absolute gain in cost for a displacement to be believed: below it is noise in flat blocks.
+const GAIN: f32 = 0.01;
 /// Variance of matched grey values from rounding and noise.
 const NOISE: f32 = 0.006 * 0.006;
 /// Share of the information that is independent, windows overlapping and pixels being correlated.
@@ -222,7 +224,7 @@ fn subpixel(a: &Plane, b: &Plane, start: &Grid) -> Grid {
                 // Staying put is a candidate on the first round: no displacement without a gain.
                 if round == 0 && d != [0.0; 2] {
                     let still = measure(a, &gx, &gy, b, &grid, k, [0.0; 2]);
-                    if still.1 <= candidate.1 * 1.02 { still.0 } else { candidate.0 }
+                    if still.1 <= candidate.1 * 1.02 + GAIN { still.0 } else { candidate.0 }
                 } else {
                     candidate.0
                 }
