@@ -50,6 +50,14 @@ impl Shot<'_> {
         }
     }
 
+    /// The response, of sources that have one.
+    pub(crate) fn response(&self) -> Option<&Response> {
+        match &self.decoder {
+            Decoder::Curve { response, .. } => Some(response),
+            Decoder::Float { .. } => None,
+        }
+    }
+
     /// Sets the response, for sources that have one.
     pub(crate) fn set_response(&mut self, response: &Response) {
         if let Decoder::Curve { response: r, .. } = &mut self.decoder {

@@ -138,8 +138,8 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     };
     let solve = params.response.is_none() && !params.linear && !exposures[0].codes.is_linear();
     if solve {
-        let samples: [Vec<response::Sample>; 3] = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
-        set_all(&mut shots, &solve_response(&samples, exposures)?);
+        let samples = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
+        set_all(&mut shots, &solve_response(&samples, exposures, None)?);
     }
     clock.lap("prepare");
 
@@ -152,9 +152,10 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     let points = sampling::aligned_points(&shots, &aligned, anchor);
     if solve {
         let samples: [Vec<response::Sample>; 3] =
-            std::array::from_fn(|c| points.iter().map(|p| p.codes.iter().map(|v| v.map(|v| v[c])).collect()).collect());
+            std::array::from_fn(|c| sampling::comparagram_samples(&shots, &points, &order, c));
         // Too few flat points (a tiny picture): the histogram's curve stands.
-        if let Ok(r) = solve_response(&samples, exposures) {
+        let preliminary = shots[anchor].response().cloned();
+        if let Ok(r) = solve_response(&samples, exposures, preliminary.as_ref()) {
             set_all(&mut shots, &r);
         }
     }
@@ -186,10 +187,7 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     clock.lap("merge");
 
     let (w, h) = (shots[anchor].width() as u32, shots[anchor].height() as u32);
-    let response = match &shots[anchor].decoder {
-        decode::Decoder::Curve { response, .. } => Some(response.clone()),
-        decode::Decoder::Float { .. } => None,
-    };
+    let response = shots[anchor].response().cloned();
     let radiance = Rgb32FImage::from_raw(w, h, values).ok_or_else(|| Error::Bracket("picture too large".into()))?;
     Ok(Merged {
         radiance,
@@ -225,9 +223,16 @@ impl Clock {
     }
 }
 
-fn solve_response(samples: &[Vec<response::Sample>; 3], exposures: &[Exposure]) -> Result<Response> {
+fn solve_response(
+    samples: &[Vec<response::Sample>; 3],
+    exposures: &[Exposure],
+    start: Option<&Response>,
+) -> Result<Response> {
     let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
-    let curves: Vec<Vec<f32>> = samples.par_iter().map(|s| solve_channel(s, &log_secs)).collect::<Result<_>>()?;
+    let curves: Vec<Vec<f32>> = (0..3usize)
+        .into_par_iter()
+        .map(|c| solve_channel(&samples[c], &log_secs, start.map(|r| &r.log_exposure[c][..])))
+        .collect::<Result<_>>()?;
     let [r, g, b] = <[Vec<f32>; 3]>::try_from(curves).map_err(|_| Error::Response("no three channels".into()))?;
     Ok(Response { log_exposure: [r, g, b] })
 }

@@ -73,11 +73,12 @@ const SMOOTHNESS: f64 = 0.25;
 /// Residual (ln units) beyond which a measurement counts less.
 const HUBER: f64 = 0.1;
 
-/// Solves one channel: `samples` as codes, `log_secs[picture]` the log of the relative exposures.
+/// Solves one channel: `samples` as codes, `log_secs[picture]` the log of the relative exposures, `start` a curve that
+/// tells outliers before there is a better one.
 ///
 /// # Errors
 /// [`Error::Response`] when too few samples are well exposed in two pictures.
-pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64]) -> Result<Vec<f32>> {
+pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64], start: Option<&[f32]>) -> Result<Vec<f32>> {
     let useful = samples.iter().filter(|s| s.iter().flatten().filter(|u| spline(**u) > 0.05).count() >= 2).count();
     if useful < 8 {
         return Err(Error::Response(format!(
@@ -85,12 +86,12 @@ pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64]) -> Result<Vec<
              pictures in between, or give --response"
         )));
     }
-    let mut g = DVector::<f64>::zeros(NODES);
-    for round in 0..4 {
+    let mut g = start.map(|s| DVector::from_iterator(NODES, s.iter().map(|v| f64::from(*v))));
+    for _ in 0..4 {
         let (mut h, mut rhs) = (DMatrix::<f64>::zeros(NODES, NODES), DVector::<f64>::zeros(NODES));
         let mut measurements = 0.0;
         for s in samples {
-            measurements += add_sample(s, log_secs, (round > 0).then_some(&g), &mut h, &mut rhs);
+            measurements += add_sample(s, log_secs, g.as_ref(), &mut h, &mut rhs);
         }
         add_smoothness(measurements, &mut h);
         // g(mid) = 0 fixes the free constant; between two nodes, as 0.5 is.
@@ -101,9 +102,9 @@ pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64]) -> Result<Vec<
         let factor = h.cholesky().ok_or_else(|| {
             Error::Response("the exposures do not determine the curve; give --response or --linear".into())
         })?;
-        g = factor.solve(&rhs);
+        g = Some(factor.solve(&rhs));
     }
-    Ok(monotone(g.as_slice()))
+    Ok(monotone(g.unwrap_or_else(|| DVector::zeros(NODES)).as_slice()))
 }
 
 /// Adds one sample's normal equations with its radiance eliminated; returns the weight it brought.
@@ -242,7 +243,7 @@ mod tests {
     #[test]
     fn recovers_a_film_curve() {
         let (samples, log_secs) = samples(false);
-        let g = solve_channel(&samples, &log_secs).unwrap();
+        let g = solve_channel(&samples, &log_secs, None).unwrap();
         assert!(worst_error(&g) < 0.06, "{}", worst_error(&g));
         assert!(g.windows(2).all(|w| w[1] > w[0]));
         assert!((g[127] + g[128]).abs() < 0.02);
@@ -251,14 +252,14 @@ mod tests {
     #[test]
     fn moved_things_do_not_bend_it() {
         let (samples, log_secs) = samples(true);
-        let g = solve_channel(&samples, &log_secs).unwrap();
+        let g = solve_channel(&samples, &log_secs, None).unwrap();
         assert!(worst_error(&g) < 0.08, "{}", worst_error(&g));
     }
 
     #[test]
     fn saturated_everywhere_is_an_error() {
         let samples = vec![vec![Some(1.0), Some(1.0)]; 100];
-        assert!(solve_channel(&samples, &[0.0, 1.0]).is_err());
+        assert!(solve_channel(&samples, &[0.0, 1.0], None).is_err());
     }
 
     #[test]

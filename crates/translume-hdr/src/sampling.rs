@@ -3,7 +3,8 @@
 use crate::align::Aligned;
 use crate::exposure::Shot;
 use crate::response::Sample;
-use crate::warp;
+use crate::warp::{self, Strip};
+use rayon::prelude::*;
 
 /// Quantiles of the pictures' histograms as virtual scene points [after Grossberg & Nayar 2003].
 ///
@@ -61,52 +62,86 @@ pub(crate) struct Point {
     pub(crate) codes: Vec<Option<[f32; 3]>>,
 }
 
-/// Well-spread aligned points: the flattest pixel of each of many cells, then as even a choice over brightness as the
-/// scene allows.
+/// Aligned points spread over the picture: the flattest pixel of each of 64 × 64 cells.
 pub(crate) fn aligned_points(shots: &[Shot<'_>], aligned: &[Aligned], anchor: usize) -> Vec<Point> {
     const CELLS: usize = 64;
-    const BUCKETS: usize = 64;
-    const PER_BUCKET: usize = 10;
     let (w, h) = (shots[anchor].width(), shots[anchor].height());
-    let mut buckets: Vec<Vec<Point>> = (0..BUCKETS).map(|_| Vec::new()).collect();
-    for cy in 0..CELLS.min(h / 3) {
-        let rows = CELLS.min(h / 3);
-        let y = (((cy as f32 + 0.5) / rows as f32) * h as f32) as usize;
-        let y = y.clamp(1, h.saturating_sub(2).max(1));
-        if y + 2 > h {
-            continue;
+    let (rows, columns) = (CELLS.min(h / 3), CELLS.min(w / 3));
+    (0..rows)
+        .into_par_iter()
+        .flat_map_iter(|cy| {
+            let y = ((2 * cy + 1) * h / (2 * rows)).clamp(1, h - 2);
+            let strips: Vec<Strip> =
+                shots.iter().zip(aligned).map(|(s, a)| warp::strip(s, &a.field, y - 1..y + 2)).collect();
+            let points: Vec<Point> = (0..columns)
+                .filter_map(|cx| {
+                    let (x0, x1) = ((cx * w / columns).max(1), ((cx + 1) * w / columns).min(w - 1));
+                    let x = (x0..x1).min_by(|a, b| unevenness(&strips, *a).total_cmp(&unevenness(&strips, *b)))?;
+                    Some(Point { codes: strips.iter().map(|s| mean_of_nine(s, x)).collect() })
+                })
+                .collect();
+            points
+        })
+        .collect()
+}
+
+/// Range of the green codes in 3 × 3 pixels, summed over the pictures.
+fn unevenness(strips: &[Strip], x: usize) -> f32 {
+    let range = |s: &Strip| {
+        let (mut low, mut high) = (f32::MAX, f32::MIN);
+        for r in 0..3 {
+            for xx in x - 1..=x + 1 {
+                let v = s.codes[3 * (r * s.width + xx) + 1];
+                (low, high) = (low.min(v), high.max(v));
+            }
         }
-        let strips: Vec<_> = shots.iter().zip(aligned).map(|(s, a)| warp::strip(s, &a.field, y - 1..y + 2)).collect();
-        let columns = CELLS.min(w / 3);
-        for cx in 0..columns {
-            let (x0, x1) = ((cx * w / columns).max(1), ((cx + 1) * w / columns).min(w - 1));
-            let spread = |x: usize| -> f32 {
-                // Flat in the two pictures that matter most is flat in all: sum over pictures of the range of green.
-                strips
-                    .iter()
-                    .map(|s| {
-                        let v: Vec<f32> =
-                            (0..3).flat_map(|r| (x - 1..=x + 1).map(move |xx| s.codes[3 * (r * w + xx) + 1])).collect();
-                        v.iter().copied().fold(f32::MIN, f32::max) - v.iter().copied().fold(f32::MAX, f32::min)
-                    })
-                    .sum()
-            };
-            let Some(x) = (x0..x1).min_by(|a, b| spread(*a).total_cmp(&spread(*b))) else { continue };
-            let point = Point { codes: strips.iter().map(|s| mean_of_nine(s, x)).collect() };
-            let seen: Vec<f32> = point.codes.iter().flatten().map(|c| c[1]).collect();
-            if seen.len() >= 2 {
-                let at = seen.iter().sum::<f32>() / seen.len() as f32;
-                let bucket = &mut buckets[((at * BUCKETS as f32) as usize).min(BUCKETS - 1)];
-                if bucket.len() < PER_BUCKET {
-                    bucket.push(point);
+        high - low
+    };
+    strips.iter().map(range).sum()
+}
+
+/// Samples for the response from a robust comparagram: for each code of one picture the median code of its neighbour
+/// in exposure, and the reverse.
+///
+/// A median over all points of one brightness ignores what has moved there, as long as most of them have not. Where a
+/// moving thing is all there is at a brightness that would not help: points that contradict the preliminary curve of
+/// `shots` (found from histograms, which do not care where things are) by more than `CONTRADICTION` are left out first.
+pub(crate) fn comparagram_samples(
+    shots: &[Shot<'_>],
+    points: &[Point],
+    order: &[usize],
+    channel: usize,
+) -> Vec<Sample> {
+    const CONTRADICTION: f32 = 0.3;
+    const BINS: usize = 100;
+    const FEWEST: usize = 4;
+    let log = |i: usize, u: f32| shots[i].decoder.log_exposure(channel, u) - shots[i].log_secs;
+    let mut out = Vec::new();
+    for pair in order.windows(2) {
+        for (from, to) in [(pair[0], pair[1]), (pair[1], pair[0])] {
+            let mut bins: Vec<Vec<(f32, f32)>> = vec![Vec::new(); BINS];
+            for p in points {
+                if let (Some(u), Some(v)) = (p.codes[from], p.codes[to])
+                    && (log(from, u[channel]) - log(to, v[channel])).abs() < CONTRADICTION
+                {
+                    bins[((u[channel] * BINS as f32) as usize).min(BINS - 1)].push((u[channel], v[channel]));
                 }
+            }
+            for mut bin in bins.into_iter().filter(|b| b.len() >= FEWEST) {
+                let mid = bin.len() / 2;
+                // Within a bin the code varies: carry it along with the median of the other.
+                let u = bin.iter().map(|p| p.0).sum::<f32>() / bin.len() as f32;
+                let v = bin.select_nth_unstable_by(mid, |a, b| a.1.total_cmp(&b.1)).1.1;
+                let mut sample: Sample = vec![None; order.len()];
+                (sample[from], sample[to]) = (Some(u), Some(v));
+                out.push(sample);
             }
         }
     }
-    buckets.into_iter().flatten().collect()
+    out
 }
 
-fn mean_of_nine(s: &warp::Strip, x: usize) -> Option<[f32; 3]> {
+fn mean_of_nine(s: &Strip, x: usize) -> Option<[f32; 3]> {
     let mut sum = [0.0f32; 3];
     for r in 0..3 {
         for xx in x - 1..=x + 1 {
@@ -124,6 +159,36 @@ fn mean_of_nine(s: &warp::Strip, x: usize) -> Option<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Response;
+    use crate::exposure::decoder_of;
+    use translume_image::{Codes, Metadata, Samples};
+
+    #[test]
+    fn moving_points_do_not_reach_the_comparagram() {
+        let codes = Codes { width: 1, height: 1, samples: Samples::U8(vec![0; 3]), metadata: Metadata::default() };
+        let shot = |secs: f32| Shot {
+            name: "",
+            codes: &codes,
+            log_secs: secs.ln(),
+            border: None,
+            decoder: decoder_of(&codes, &Response::linear()),
+        };
+        // A linear camera and a ratio of 2; of the points brighter than 0.5 all have moved, of the others a third.
+        let points: Vec<Point> = (0..3000)
+            .map(|k| {
+                let u = (k as f32 + 0.5) / 3000.0;
+                let v = if k % 3 == 0 || u > 0.5 { 0.05 } else { 2.0 * u };
+                Point { codes: vec![Some([u; 3]), Some([v; 3])] }
+            })
+            .collect();
+        let samples = comparagram_samples(&[shot(1.0), shot(2.0)], &points, &[0, 1], 0);
+        let pairs: Vec<(f32, f32)> =
+            samples.iter().filter_map(|s| Some((s[0]?, s[1]?))).filter(|(u, _)| *u > 0.05).collect();
+        assert!(pairs.len() > 80);
+        for (u, v) in pairs {
+            assert!((v - 2.0 * u).abs() < 0.02, "{u} {v}");
+        }
+    }
 
     #[test]
     fn quantile_of_a_uniform_histogram_is_the_code() {
