@@ -14,6 +14,7 @@ mod exif;
 mod formats;
 pub mod limits;
 mod linear;
+pub mod metrics;
 mod orient;
 mod picture;
 mod raster;
