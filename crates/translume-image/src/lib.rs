@@ -9,6 +9,7 @@
 pub mod atomic;
 mod codes;
 pub mod colour;
+pub mod compare;
 mod error;
 mod exif;
 mod formats;
