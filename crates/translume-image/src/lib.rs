@@ -9,11 +9,13 @@
 pub mod atomic;
 mod codes;
 pub mod colour;
+pub mod compare;
 mod error;
 mod exif;
 mod formats;
 pub mod limits;
 mod linear;
+pub mod metrics;
 mod orient;
 mod picture;
 pub mod primaries;
