@@ -1,6 +1,9 @@
 //! The BSDF at a shading point: flags, samples, the closed set of models and the adapters over them.
 
-use crate::{Conductor, Dielectric, Diffuse, Rgb, RoughConductor, RoughDielectric, ThinDielectric, fresnel};
+use crate::{
+    Conductor, Dielectric, Diffuse, Plastic, Principled, Rgb, RoughConductor, RoughDielectric, RoughPlastic,
+    ThinDielectric, fresnel,
+};
 use glam::{Vec2, Vec3};
 
 /// What is carried along the path, which decides how refraction scales it.
@@ -143,6 +146,12 @@ pub enum Model<'a> {
     ThinDielectric(ThinDielectric),
     /// See [`RoughDielectric`].
     RoughDielectric(RoughDielectric),
+    /// See [`Plastic`].
+    Plastic(Plastic),
+    /// See [`RoughPlastic`].
+    RoughPlastic(RoughPlastic<'a>),
+    /// See [`Principled`].
+    Principled(Principled),
     /// See [`Blend`]; boxed, since it is the one model that contains others.
     Blend(Box<Blend<'a>>),
     /// See [`CustomBsdf`].
@@ -201,6 +210,9 @@ impl<'a> Bsdf<'a> {
             Model::Diffuse(m) => m.eval_pdf(wo, wi),
             Model::RoughConductor(m) => m.eval_pdf(wo, wi),
             Model::RoughDielectric(m) => m.eval_pdf(wo, wi, mode),
+            Model::Plastic(m) => m.eval_pdf(wo, wi),
+            Model::RoughPlastic(m) => m.eval_pdf(wo, wi),
+            Model::Principled(m) => m.eval_pdf(wo, wi, mode),
             Model::Blend(m) => m.eval_pdf(wo, wi, mode),
             Model::Custom(m) => m.model.eval_pdf(m.uv, wo, wi, mode),
         };
@@ -227,6 +239,9 @@ impl<'a> Bsdf<'a> {
             Model::Dielectric(m) => m.sample(wo, u_lobe, mode),
             Model::ThinDielectric(m) => m.sample(wo, u_lobe),
             Model::RoughDielectric(m) => m.sample(wo, u_lobe, u, mode),
+            Model::Plastic(m) => m.sample(wo, u_lobe, u),
+            Model::RoughPlastic(m) => m.sample(wo, u_lobe, u),
+            Model::Principled(m) => m.sample(wo, u_lobe, u, mode),
             Model::Blend(m) => m.sample(wo, u_lobe, u, mode),
             Model::Custom(m) => m.model.sample(m.uv, wo, u_lobe, u, mode),
         }?;
@@ -249,6 +264,9 @@ impl<'a> Bsdf<'a> {
             Model::Dielectric(_) => Dielectric::FLAGS,
             Model::ThinDielectric(_) => ThinDielectric::FLAGS,
             Model::RoughDielectric(_) => RoughDielectric::FLAGS,
+            Model::Plastic(_) => Plastic::FLAGS,
+            Model::RoughPlastic(_) => RoughPlastic::FLAGS,
+            Model::Principled(m) => m.flags(),
             Model::Blend(m) => m.first.flags().or(m.second.flags()),
             Model::Custom(m) => m.model.flags(),
         };
@@ -277,11 +295,29 @@ impl<'a> Bsdf<'a> {
             Model::Dielectric(m) => mix_by_fresnel(m.eta, m.specular_reflectance, m.specular_transmittance),
             Model::ThinDielectric(m) => mix_by_fresnel(m.eta, m.specular_reflectance, m.specular_transmittance),
             Model::RoughDielectric(m) => mix_by_fresnel(m.eta, m.specular_reflectance, m.specular_transmittance),
+            Model::Plastic(m) => m.diffuse_reflectance,
+            Model::RoughPlastic(m) => m.diffuse_reflectance,
+            Model::Principled(m) => m.base_color,
             Model::Blend(m) => m.first.albedo().lerp(m.second.albedo(), m.weight),
             Model::Custom(m) => m.model.albedo(m.uv),
         }
     }
 }
+
+macro_rules! bsdf_from {
+    ($($model:ident: $type:ty),+) => {$(
+        impl<'a> From<$type> for Bsdf<'a> {
+            #[inline]
+            fn from(model: $type) -> Self {
+                Self::new(Model::$model(model))
+            }
+        }
+    )+};
+}
+
+bsdf_from!(Diffuse: Diffuse, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
+bsdf_from!(ThinDielectric: ThinDielectric, RoughDielectric: RoughDielectric, Plastic: Plastic);
+bsdf_from!(RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
 
 impl Blend<'_> {
     fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {

@@ -26,7 +26,11 @@ pub mod fresnel;
 mod ior;
 mod metals;
 mod microfacet;
+mod phase;
+mod plastic;
+mod principled;
 mod rough_dielectric;
+mod rough_plastic;
 
 pub use bsdf::{Blend, Bsdf, Custom, CustomBsdf, Flags, Mode, Model, Sample};
 pub use conductor::{Conductor, RoughConductor};
@@ -35,7 +39,11 @@ pub use diffuse::Diffuse;
 pub use ior::{AIR, BK7, POLYPROPYLENE, ior_by_name};
 pub use metals::{METAL_NAMES, metal_by_name};
 pub use microfacet::{Distribution, Microfacets};
+pub use phase::Phase;
+pub use plastic::Plastic;
+pub use principled::Principled;
 pub use rough_dielectric::RoughDielectric;
+pub use rough_plastic::{Coat, RoughPlastic};
 
 /// Linear Rec. 709 red, green, blue.
 pub type Rgb = glam::Vec3;
