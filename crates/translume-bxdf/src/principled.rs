@@ -117,7 +117,7 @@ impl Principled {
     pub(crate) fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {
         let (cos_o, cos_i) = (wo.z, wi.z);
         let front = cos_o > 0.0;
-        if cos_o == 0.0 || cos_i == 0.0 || (!front && self.transmission() <= 0.0) {
+        if (cos_o * cos_i).abs() < 1e-20 || (!front && self.transmission() <= 0.0) {
             return (Rgb::ZERO, 0.0);
         }
         let is_reflection = cos_o * cos_i > 0.0;

@@ -34,7 +34,7 @@ impl RoughDielectric {
 
     pub(crate) fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {
         let (cos_o, cos_i) = (wo.z, wi.z);
-        if cos_o == 0.0 || cos_i == 0.0 {
+        if (cos_o * cos_i).abs() < 1e-20 {
             return (Rgb::ZERO, 0.0);
         }
         let is_reflection = cos_o * cos_i > 0.0;
@@ -75,6 +75,9 @@ impl RoughDielectric {
             return None;
         }
         let dot_o = wo.dot(m);
+        if dot_o * wo.z <= 0.0 {
+            return None; // The back of a facet, which only sampling of all normals yields.
+        }
         let interface = fresnel::dielectric(dot_o, self.eta);
         let r = interface.reflectance;
         let (wi, tint, pdf_w, flags, eta) = if u_lobe < r || r == 1.0 {
@@ -89,7 +92,8 @@ impl RoughDielectric {
             let scale = if mode == Mode::Radiance { interface.eta_ti * interface.eta_ti } else { 1.0 };
             (wi, self.specular_transmittance * scale, pdf_w, Flags::TRANSMISSION.or(Flags::GLOSSY), eta)
         };
-        if (wo.z * wi.z > 0.0) != flags.contains(Flags::REFLECTION) || pdf_w.is_nan() || pdf_w <= 0.0 {
+        let side = if flags.contains(Flags::REFLECTION) { wo.z } else { -wo.z };
+        if side * wi.z <= 0.0 || wi.dot(m) * wi.z <= 0.0 || pdf_w.is_nan() || pdf_w <= 0.0 {
             return None;
         }
         let mut weight = tint * self.microfacets.g1(wi, m);

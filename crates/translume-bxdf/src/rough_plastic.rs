@@ -10,7 +10,7 @@ use crate::{
 };
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
-use translume_core::warp;
+use translume_core::{special::gauss_legendre, warp};
 
 const RESOLUTION: usize = 64;
 
@@ -30,9 +30,12 @@ impl Coat {
     pub fn new(distribution: Distribution, alpha: f32, eta: f32) -> Self {
         let microfacets = Microfacets::new(distribution, alpha, alpha);
         let cosine = |i: usize| (i as f32 / (RESOLUTION - 1) as f32).max(1e-6);
-        let transmittance = std::array::from_fn(|i| transported(&microfacets, cosine(i), eta, 48, false));
-        let inner = (0..RESOLUTION).map(|i| transported(&microfacets, cosine(i), 1.0 / eta, 64, true) * cosine(i));
-        let inner_reflectance = 2.0 * inner.sum::<f32>() / RESOLUTION as f32;
+        // Total reflection inside has an edge that asks for more nodes.
+        let (outer, inner) = (gauss_legendre(48), gauss_legendre(96));
+        let transmittance = std::array::from_fn(|i| transported(&microfacets, cosine(i), eta, &outer, false));
+        let reflected =
+            (0..RESOLUTION).map(|i| transported(&microfacets, cosine(i), 1.0 / eta, &inner, true) * cosine(i));
+        let inner_reflectance = 2.0 * reflected.sum::<f32>() / RESOLUTION as f32;
         Self { microfacets, eta, transmittance, inner_reflectance }
     }
 
@@ -52,22 +55,23 @@ impl Coat {
 }
 
 /// Fraction of light from the cosine `cos` that microfacets of relative index `eta` reflect (or let through): the weights of
-/// visible-normal sampling averaged by the midpoint rule with n² points.
-fn transported(microfacets: &Microfacets, cos: f32, eta: f32, n: usize, reflected: bool) -> f32 {
+/// visible-normal sampling averaged over the unit square.
+fn transported(microfacets: &Microfacets, cos: f32, eta: f32, rule: &[(f32, f32)], reflected: bool) -> f32 {
     let wo = Vec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
-    let mut sum = 0.0f64;
-    for i in 0..n * n {
-        let u = (Vec2::new((i % n) as f32, (i / n) as f32) + 0.5) / n as f32;
-        let m = microfacets.sample(wo, u);
-        let interface = fresnel::dielectric(wo.dot(m), eta);
-        let r = interface.reflectance;
-        let (wi, share) =
-            if reflected { (fresnel::reflect(wo, m), r) } else { (fresnel::refract(wo, m, &interface), 1.0 - r) };
-        if (wi.z > 0.0) == reflected && wi.z != 0.0 && share > 0.0 {
-            sum += f64::from(share * microfacets.g1(wi, m));
+    let mut sum = 0.0;
+    for &(x, weight_x) in rule {
+        for &(y, weight_y) in rule {
+            let m = microfacets.sample(wo, Vec2::new(x, y));
+            let interface = fresnel::dielectric(wo.dot(m), eta);
+            let r = interface.reflectance;
+            let (wi, share) =
+                if reflected { (fresnel::reflect(wo, m), r) } else { (fresnel::refract(wo, m, &interface), 1.0 - r) };
+            if (wi.z > 0.0) == reflected && wi.z != 0.0 && share > 0.0 {
+                sum += share * microfacets.g1(wi, m) * weight_x * weight_y;
+            }
         }
     }
-    (sum / (n * n) as f64) as f32
+    sum
 }
 
 /// Parameters of rough plastic.

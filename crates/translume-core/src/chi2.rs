@@ -24,11 +24,13 @@ pub struct SphereTest {
     pub significance: f64,
     /// Seed of the samples.
     pub seed: u64,
+    /// How far the density's total may honestly be off, for densities that contain a fit; the shape is tested nevertheless.
+    pub mass_tolerance: f64,
 }
 
 impl Default for SphereTest {
     fn default() -> Self {
-        Self { rows: 20, columns: 40, samples: 100_000, significance: 0.01, seed: 1 }
+        Self { rows: 20, columns: 40, samples: 100_000, significance: 0.01, seed: 1, mass_tolerance: 0.0 }
     }
 }
 
@@ -60,8 +62,14 @@ impl SphereTest {
         if total.is_nan() || total > 1.01 {
             return Err(Failure(format!("{name}: the density integrates to {total}")));
         }
-        expected.push((1.0 - total).max(0.0) * self.samples as f64);
         let dropped = observed[self.rows * self.columns] / self.samples as f64;
+        if (1.0 - dropped - total).abs() <= self.mass_tolerance {
+            let correction = (1.0 - dropped) / total.max(f64::MIN_POSITIVE);
+            expected.iter_mut().for_each(|e| *e *= correction);
+            observed.pop();
+        } else {
+            expected.push((1.0 - total).max(0.0) * self.samples as f64);
+        }
         chi2_test(&observed, &expected, sidak(self.significance, cases)).map_err(|Failure(what)| {
             Failure(format!("{name}: {what} (density integrates to {total:.5}, {dropped:.5} of the samples dropped)"))
         })

@@ -1,4 +1,5 @@
-//! Special functions: error function and its inverse (f32, for samplers), incomplete gamma and beta (f64, for tests).
+//! Special functions: error function and its inverse (f32, for samplers), incomplete gamma and beta (f64, for tests),
+//! Gauss–Legendre quadrature.
 //!
 //! Sources: Abramowitz & Stegun 7.1.26 for `erf`; Giles 2010, "Approximating the erfinv function"; Lanczos' approximation
 //! and Lentz's continued fractions as in any numerical handbook. The f32 functions are fast rather than exact to the last bit.
@@ -126,6 +127,30 @@ fn lentz(term: impl Fn(f64) -> (f64, f64)) -> f64 {
     f
 }
 
+/// Nodes and weights of the n-point Gauss–Legendre rule on [0, 1]: Newton's method on the three-term recurrence.
+pub fn gauss_legendre(n: usize) -> Vec<(f32, f32)> {
+    let rule = |i: usize| {
+        let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (n as f64 + 0.5)).cos();
+        let mut derivative = 1.0;
+        for _ in 0..100 {
+            let (mut p, mut previous) = (1.0, 0.0);
+            for k in 0..n {
+                let k = k as f64;
+                (p, previous) = (((2.0 * k + 1.0) * x * p - k * previous) / (k + 1.0), p);
+            }
+            derivative = n as f64 * (x * p - previous) / (x * x - 1.0);
+            let step = p / derivative;
+            x -= step;
+            if step.abs() < 1e-15 {
+                break;
+            }
+        }
+        let weight = 1.0 / ((1.0 - x * x) * derivative * derivative);
+        ((0.5 + 0.5 * x) as f32, weight as f32)
+    };
+    (0..n).map(rule).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,6 +170,17 @@ mod tests {
             assert!((beta_i(1.0, 3.5, x) - (1.0 - (1f64 - x).powf(3.5))).abs() < 1e-13, "{x}");
         }
         assert!((beta_i(7.3, 7.3, 0.5) - 0.5).abs() < 1e-13);
+    }
+
+    #[test]
+    fn quadrature_is_exact_for_polynomials() {
+        for n in [1, 2, 5, 16, 96] {
+            let rule = gauss_legendre(n);
+            for power in [0, 1, 2 * n as i32 - 1] {
+                let sum: f64 = rule.iter().map(|&(x, w)| f64::from(w) * f64::from(x).powi(power)).sum();
+                assert!((sum * f64::from(power + 1) - 1.0).abs() < 2e-5, "{n} {power} {sum}");
+            }
+        }
     }
 
     #[test]
