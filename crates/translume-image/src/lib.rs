@@ -8,10 +8,30 @@
 
 pub mod atomic;
 mod codes;
+pub mod colour;
+pub mod compare;
 mod error;
+mod exif;
+mod formats;
+pub mod limits;
+mod linear;
+pub mod metrics;
+mod orient;
 mod picture;
+pub mod primaries;
+mod raster;
+mod read;
+pub mod tonemap;
 
 pub use codes::{Codes, Samples};
 pub use error::{Error, Result};
+pub use formats::exr_read::{ExrChannel, ExrPart, ExrPlanes, read_exr_channels, read_exr_parts};
+pub use formats::exr_write::{ExrCompression, ExrOptions, Precision, write_exr, write_exr_channels};
+pub use formats::pfm::write_pfm;
+pub use formats::png::{write_gray_png, write_png8, write_png16};
+pub use formats::radiance::write_hdr;
+pub use formats::tiff::{write_tiff_float, write_tiff16};
 pub use image::Rgb32FImage;
+pub use orient::Orientation;
 pub use picture::{Metadata, Picture};
+pub use read::{Format, decode_codes, decode_picture, read_codes, read_picture};

@@ -1,0 +1,135 @@
+//! From code to log exposure, for sources with a response curve and for linear ones, with what is known about each value.
+
+use crate::Response;
+use crate::weight::spline;
+
+/// A code at or above this is clipped (sources with a curve).
+pub(crate) const CLIPPED: f32 = 0.985;
+/// A code at or below this is lost in black.
+pub(crate) const BLACK: f32 = 0.012;
+
+/// Bins of the noise table over the encoded range.
+pub(crate) const NOISE_BINS: usize = 16;
+
+/// How the values of one picture become log exposure.
+#[derive(Clone, Debug)]
+pub(crate) struct Decoder {
+    /// What the values are.
+    pub(crate) kind: Kind,
+    /// Uncertainty of an encoded value (rounding, compression, noise) at the middle of each bin, about two standard
+    /// deviations.
+    pub(crate) blur: [f32; NOISE_BINS],
+}
+
+/// What the values of a picture are.
+#[derive(Clone, Debug)]
+pub(crate) enum Kind {
+    /// Codes in [0, 1] through a response curve.
+    Curve(Response),
+    /// Values proportional to exposure, clipped at `clip` (infinite if they are not).
+    Float {
+        /// The value at which the picture is clipped.
+        clip: f32,
+        /// A value that fills the range, for weights: the clip, or the largest value.
+        full: f32,
+    },
+}
+
+/// Float values below this share of full range are black.
+const FLOAT_FLOOR: f32 = 2e-4;
+/// Exponent of the display-like scale of float values.
+const GAMMA: f32 = 2.2;
+
+impl Decoder {
+    /// ln of exposure.
+    #[inline]
+    pub(crate) fn log_exposure(&self, channel: usize, u: f32) -> f32 {
+        match &self.kind {
+            Kind::Curve(response) => response.log_exposure(channel, u),
+            Kind::Float { full, .. } => u.max(full * 1e-6).ln(),
+        }
+    }
+
+    /// The value on a display-like scale in [0, 1].
+    #[inline]
+    pub(crate) fn encoded(&self, u: f32) -> f32 {
+        match self.kind {
+            Kind::Curve(_) => u,
+            Kind::Float { full, .. } => (u / full).clamp(0.0, 1.0).powf(1.0 / GAMMA),
+        }
+    }
+
+    /// Whether the value is a lower bound only.
+    #[inline]
+    pub(crate) fn is_clipped(&self, u: f32) -> bool {
+        match self.kind {
+            Kind::Curve(_) => u >= CLIPPED,
+            Kind::Float { clip, .. } => u >= clip * 0.999,
+        }
+    }
+
+    /// Whether the value is an upper bound only.
+    #[inline]
+    pub(crate) fn is_black(&self, u: f32) -> bool {
+        match self.kind {
+            Kind::Curve(_) => u <= BLACK,
+            Kind::Float { full, .. } => u <= full * FLOAT_FLOOR,
+        }
+    }
+
+    /// The interval of log exposure that values from `low` to `high` stand for; infinite where clipped or black.
+    #[inline]
+    pub(crate) fn interval(&self, channel: usize, low: f32, high: f32) -> (f32, f32) {
+        match &self.kind {
+            Kind::Curve(response) => {
+                let (low, high) = (low.min(CLIPPED) - self.blur_at(low), high + self.blur_at(high));
+                let lo = if low <= BLACK { f32::NEG_INFINITY } else { response.log_exposure(channel, low) };
+                let hi = if high >= CLIPPED { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
+                (lo, hi)
+            }
+            Kind::Float { clip, full } => {
+                let (low, high) = (self.encoded(low), self.encoded(high));
+                let (low, top) = (low - self.blur_at(low), high + self.blur_at(high));
+                let value = |e: f32| full.ln() + GAMMA * e.ln();
+                let black = FLOAT_FLOOR.powf(1.0 / GAMMA);
+                let lo = if low <= black { f32::NEG_INFINITY } else { value(low) };
+                let hi = if clip.is_finite() && top >= 0.999 { f32::INFINITY } else { value(top.max(black)) };
+                (lo, hi)
+            }
+        }
+    }
+
+    /// The uncertainty of an encoded value.
+    #[inline]
+    fn blur_at(&self, e: f32) -> f32 {
+        self.blur[((e * NOISE_BINS as f32) as usize).min(NOISE_BINS - 1)]
+    }
+
+    /// Log exposures between which the picture tells scene points apart; infinite at the top of an unclipped picture.
+    pub(crate) fn useful_range(&self, channel: usize) -> (f32, f32) {
+        match &self.kind {
+            Kind::Curve(response) => (response.log_exposure(channel, 0.03), response.log_exposure(channel, 0.965)),
+            Kind::Float { clip, full } => {
+                ((full * 4e-3).ln(), if clip.is_finite() { (clip * 0.97).ln() } else { f32::INFINITY })
+            }
+        }
+    }
+
+    /// Log exposure of full range.
+    pub(crate) fn full_range(&self, channel: usize) -> f32 {
+        match &self.kind {
+            Kind::Curve(response) => response.log_exposure(channel, 1.0),
+            Kind::Float { full, .. } => full.ln(),
+        }
+    }
+
+    /// The thesis' weight of a value; an unclipped float picture has no bad end at the top.
+    #[inline]
+    pub(crate) fn spline_weight(&self, u: f32) -> f32 {
+        let e = self.encoded(u);
+        match self.kind {
+            Kind::Float { clip, .. } if clip.is_infinite() && e > 0.5 => 1.0,
+            _ => spline(e),
+        }
+    }
+}

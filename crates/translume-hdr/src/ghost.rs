@@ -1,0 +1,350 @@
+//! Which pixels of a picture show the same scene as the anchor [Menzel ch. 5 §3, corrected].
+//!
+//! Two tests per pixel. The thesis' 11 × 11 normalised correlation, mean not subtracted, on values brought to a common
+//! exposure: skipped where the anchor has no information (clipped or black), because then nothing can be compared. And,
+//! because flat patches of one hue correlate perfectly at any brightness, a log-radiance test: every value stands for
+//! an interval (its code, give or take rounding and noise; open-ended when clipped or black), and the gap between the
+//! intervals of picture and anchor is what no noise explains. Where the anchor is clipped or black the next accepted
+//! picture towards it stands in, so that two short exposures cannot disagree unseen.
+//!
+//! Beyond the thesis: confidences are soft, and the anchor's interval is widened by half its 3 × 3 neighbourhood, which
+//! is what a misregistration of half a pixel explains.
+
+use crate::align::Aligned;
+use crate::decode::{Decoder, Kind};
+use crate::exposure::Shot;
+use crate::warp::{self, Strip};
+use rayon::prelude::*;
+
+/// Thresholds of the ghost tests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GhostParams {
+    /// Correlation below which a pixel is a ghost (t_K of the thesis).
+    pub correlation: f32,
+    /// Gap in ln radiance (mean over 5 × 5) that begins to cost confidence, and the one that ends it.
+    pub gap: (f32, f32),
+}
+
+impl Default for GhostParams {
+    fn default() -> Self {
+        Self { correlation: 0.95, gap: (0.015, 0.06) }
+    }
+}
+
+/// Half side of the correlation window: 11 × 11.
+const CORRELATION: usize = 5;
+/// Half side of the window over which gaps are averaged.
+const AVERAGE: usize = 2;
+/// Rows per strip, without the windows' margin.
+const ROWS: usize = 48;
+/// Gap beyond which a pixel counts no more.
+const GAP_CAP: f32 = 0.5;
+
+/// Confidence per pixel and picture, 0 to 255, in the anchor's frame; `None` for the anchor.
+pub(crate) fn confidences(
+    shots: &[Shot<'_>],
+    aligned: &[Aligned],
+    order: &[usize],
+    anchor: usize,
+    params: &GhostParams,
+) -> Vec<Option<Vec<u8>>> {
+    let mut out: Vec<Option<Vec<u8>>> = vec![None; shots.len()];
+    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
+    let longer: Vec<usize> = order[at + 1..].to_vec();
+    let shorter: Vec<usize> = order[..at].iter().rev().copied().collect();
+    for chain in [longer, shorter] {
+        let mut towards: Option<usize> = None;
+        for i in chain {
+            let between = towards.map(|j| (j, out[j].as_deref().unwrap_or(&[])));
+            let raw = confidence(shots, aligned, anchor, between, i, params);
+            out[i] = Some(soften(&raw, shots[i].width(), shots[i].height()));
+            towards = Some(i);
+        }
+    }
+    out
+}
+
+/// Raw confidence of picture `i`.
+fn confidence(
+    shots: &[Shot<'_>],
+    aligned: &[Aligned],
+    anchor: usize,
+    between: Option<(usize, &[u8])>,
+    i: usize,
+    params: &GhostParams,
+) -> Vec<u8> {
+    let (w, h) = (shots[i].width(), shots[i].height());
+    let mut out = vec![0u8; w * h];
+    out.par_chunks_mut(w * ROWS).enumerate().for_each(|(k, rows)| {
+        let (y0, y1) = (k * ROWS, (k * ROWS + rows.len() / w).min(h));
+        let (s0, s1) = (y0.saturating_sub(CORRELATION + 1), (y1 + CORRELATION + 1).min(h));
+        let picture = warp::strip(&shots[i], &aligned[i].field, s0..s1);
+        let reference = warp::strip(&shots[anchor], &aligned[anchor].field, s0..s1);
+        let stand_in = between
+            .map(|(j, confidence)| (j, warp::strip(&shots[j], &aligned[j].field, s0..s1), &confidence[s0 * w..s1 * w]));
+        let gaps = gaps(shots, anchor, i, &reference, &picture, stand_in.as_ref());
+        let gaps = box_mean(&gaps, w, AVERAGE);
+        let correlations = correlations(&shots[anchor], &shots[i], &reference, &picture);
+        for (o, p) in rows.iter_mut().zip((y0 - s0) * w..) {
+            let by_gap = 1.0 - smoothstep(params.gap.0, params.gap.1, gaps[p]);
+            let by_correlation = smoothstep(params.correlation - 0.03, params.correlation, correlations[p]);
+            *o = (255.0 * by_gap.min(by_correlation)).round() as u8;
+        }
+    });
+    out
+}
+
+fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
+    let t = ((x - a) / (b - a)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Gap between what two pictures say of each pixel, the largest over the channels, in ln units.
+fn gaps(
+    shots: &[Shot<'_>],
+    anchor: usize,
+    i: usize,
+    reference: &Strip,
+    picture: &Strip,
+    stand_in: Option<&(usize, Strip, &[u8])>,
+) -> Vec<f32> {
+    let (w, n) = (picture.width, picture.seen.len());
+    let rows = n / w;
+    let (a, b) = (&shots[anchor], &shots[i]);
+    let mut out = vec![0.0; n];
+    for y in 0..rows {
+        for x in 0..w {
+            let p = y * w + x;
+            if !picture.seen[p] {
+                continue;
+            }
+            let codes = picture.pixel(p);
+            let mut worst = 0.0f32;
+            let known = reference.seen[p];
+            let around = if known { neighbourhood(reference, x, y, rows) } else { [(0.0, 0.0); 3] };
+            for c in 0..3 {
+                let mine = shift(b.decoder.interval(c, codes[c], codes[c]), b.log_secs);
+                let theirs = if known {
+                    shift(a.decoder.interval(c, around[c].0, around[c].1), a.log_secs)
+                } else {
+                    (f32::NEG_INFINITY, f32::INFINITY)
+                };
+                worst = worst.max(gap(mine, theirs));
+                let open = theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY;
+                if let (true, Some((j, strip, confidence))) = (open, stand_in)
+                    && strip.seen[p]
+                    && confidence[p] > 128
+                {
+                    let around = neighbourhood(strip, x, y, rows);
+                    let s = &shots[*j];
+                    worst = worst.max(gap(mine, shift(s.decoder.interval(c, around[c].0, around[c].1), s.log_secs)));
+                }
+            }
+            out[p] = (worst - b.tolerance).clamp(0.0, GAP_CAP);
+        }
+    }
+    out
+}
+
+#[inline]
+fn shift(interval: (f32, f32), log_secs: f32) -> (f32, f32) {
+    (interval.0 - log_secs, interval.1 - log_secs)
+}
+
+/// Distance between two intervals, 0 if they meet.
+#[inline]
+fn gap(a: (f32, f32), b: (f32, f32)) -> f32 {
+    (a.0 - b.1).max(b.0 - a.1).max(0.0)
+}
+
+/// Per channel the range half way from the pixel to the extremes of its 3 × 3 neighbourhood.
+#[inline]
+fn neighbourhood(s: &Strip, x: usize, y: usize, rows: usize) -> [(f32, f32); 3] {
+    let own = s.pixel(y * s.width + x);
+    let mut out = own.map(|v| (v, v));
+    for ny in y.saturating_sub(1)..(y + 2).min(rows) {
+        for nx in x.saturating_sub(1)..(x + 2).min(s.width) {
+            let p = s.pixel(ny * s.width + nx);
+            for c in 0..3 {
+                out[c] = (out[c].0.min(p[c]), out[c].1.max(p[c]));
+            }
+        }
+    }
+    std::array::from_fn(|c| (0.5 * (out[c].0 + own[c]), 0.5 * (out[c].1 + own[c])))
+}
+
+/// K of the thesis: Σ c_i c_r / √(Σ c_i² Σ c_r²) over 11 × 11, values brought to a common exposure and clamped to the
+/// common range; 1 where a pixel cannot be compared.
+fn correlations(a: &Shot<'_>, b: &Shot<'_>, reference: &Strip, picture: &Strip) -> Vec<f32> {
+    let (w, n) = (picture.width, picture.seen.len());
+    let (mut ab, mut aa, mut bb) = (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
+    let common: [(f32, f32); 3] = std::array::from_fn(|c| {
+        let (ra, rb) = (a.decoder.useful_range(c), b.decoder.useful_range(c));
+        let hi = (ra.1 - a.log_secs).min(rb.1 - b.log_secs);
+        (((ra.0 - a.log_secs).max(rb.0 - b.log_secs)).min(hi), hi)
+    });
+    let value = |s: &Shot<'_>, c: usize, u: f32| {
+        let (lo, hi) = common[c];
+        let hi_or_zero = if hi.is_finite() { hi } else { 0.0 };
+        (((s.decoder.log_exposure(c, u) - s.log_secs).clamp(lo, hi) - hi_or_zero) / 2.2).exp()
+    };
+    let (ta, tb) = (Table::new(&a.decoder, |c, u| value(a, c, u)), Table::new(&b.decoder, |c, u| value(b, c, u)));
+    for p in 0..n {
+        if !(picture.seen[p] && reference.seen[p]) {
+            continue;
+        }
+        let (pa, pb) = (reference.pixel(p), picture.pixel(p));
+        for c in 0..3 {
+            if a.decoder.is_clipped(pa[c]) || a.decoder.is_black(pa[c]) {
+                continue;
+            }
+            let (va, vb) = (ta.at(c, pa[c], |c, u| value(a, c, u)), tb.at(c, pb[c], |c, u| value(b, c, u)));
+            ab[p] += va * vb;
+            aa[p] += va * va;
+            bb[p] += vb * vb;
+        }
+    }
+    let (ab, aa, bb) = (box_mean(&ab, w, CORRELATION), box_mean(&aa, w, CORRELATION), box_mean(&bb, w, CORRELATION));
+    (0..n)
+        .map(|p| {
+            let d = aa[p] * bb[p];
+            if d > 1e-12 { (ab[p] / d.sqrt()).min(1.0) } else { 1.0 }
+        })
+        .collect()
+}
+
+/// A function of a code, tabulated where codes lie in [0, 1].
+struct Table(Option<Vec<[f32; 3]>>);
+
+impl Table {
+    const SIZE: usize = 1024;
+
+    fn new(decoder: &Decoder, f: impl Fn(usize, f32) -> f32) -> Self {
+        let tabulate =
+            || (0..=Self::SIZE).map(|i| std::array::from_fn(|c| f(c, i as f32 / Self::SIZE as f32))).collect();
+        Self(matches!(decoder.kind, Kind::Curve(_)).then(tabulate))
+    }
+
+    #[inline]
+    fn at(&self, c: usize, u: f32, f: impl Fn(usize, f32) -> f32) -> f32 {
+        match &self.0 {
+            Some(t) => t[(u * Self::SIZE as f32 + 0.5) as usize][c],
+            None => f(c, u),
+        }
+    }
+}
+
+/// Mean over (2r+1)² pixels, windows cut at the borders.
+pub(crate) fn box_mean(v: &[f32], w: usize, r: usize) -> Vec<f32> {
+    let h = v.len() / w;
+    let mut across = vec![0.0f32; v.len()];
+    for y in 0..h {
+        let row = &v[y * w..(y + 1) * w];
+        let mut sum: f64 = row[..r.min(w)].iter().map(|x| f64::from(*x)).sum();
+        for x in 0..w {
+            if x + r < w {
+                sum += f64::from(row[x + r]);
+            }
+            if x > r {
+                sum -= f64::from(row[x - r - 1]);
+            }
+            let n = (x + r + 1).min(w) - x.saturating_sub(r);
+            across[y * w + x] = (sum / n as f64) as f32;
+        }
+    }
+    let mut out = vec![0.0f32; v.len()];
+    let mut sums = vec![0.0f64; w];
+    for y in 0..r.min(h) {
+        for x in 0..w {
+            sums[x] += f64::from(across[y * w + x]);
+        }
+    }
+    for y in 0..h {
+        let n = ((y + r + 1).min(h) - y.saturating_sub(r)) as f64;
+        for x in 0..w {
+            if y + r < h {
+                sums[x] += f64::from(across[(y + r) * w + x]);
+            }
+            if y > r {
+                sums[x] -= f64::from(across[(y - r - 1) * w + x]);
+            }
+            out[y * w + x] = (sums[x] / n) as f32;
+        }
+    }
+    out
+}
+
+/// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays.
+fn soften(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
+    const GROW: usize = 3;
+    let across: Vec<u8> = raw
+        .par_chunks(w)
+        .flat_map_iter(|row| {
+            (0..w).map(|x| row[x.saturating_sub(GROW)..(x + GROW + 1).min(w)].iter().copied().min().unwrap_or(0))
+        })
+        .collect();
+    let grown: Vec<u8> = (0..h)
+        .into_par_iter()
+        .flat_map_iter(|y| {
+            let across = &across;
+            let (y0, y1) = (y.saturating_sub(GROW), (y + GROW + 1).min(h));
+            (0..w).map(move |x| (y0..y1).map(|yy| across[yy * w + x]).min().unwrap_or(0))
+        })
+        .collect();
+    // A mean over (2·2+1)² of the grown mask never exceeds what the raw mask says within a pixel of a ghost.
+    const FEATHER: usize = 2;
+    let mut out = vec![0u8; w * h];
+    out.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+        let (y0, y1) = (y.saturating_sub(FEATHER), (y + FEATHER + 1).min(h));
+        let columns: Vec<u32> = (0..w).map(|x| (y0..y1).map(|yy| u32::from(grown[yy * w + x])).sum()).collect();
+        for (x, o) in row.iter_mut().enumerate() {
+            let (x0, x1) = (x.saturating_sub(FEATHER), (x + FEATHER + 1).min(w));
+            *o = (columns[x0..x1].iter().sum::<u32>() / ((x1 - x0) * (y1 - y0)) as u32) as u8;
+        }
+    });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_that_meet_have_no_gap() {
+        assert_eq!(gap((0.0, 1.0), (0.5, 2.0)), 0.0);
+        assert_eq!(gap((0.0, f32::INFINITY), (5.0, 6.0)), 0.0);
+        assert!((gap((0.0, 1.0), (1.5, 2.0)) - 0.5).abs() < 1e-6);
+        assert!((gap((3.0, 4.0), (f32::NEG_INFINITY, 2.0)) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn box_mean_is_the_mean_of_the_window() {
+        let (w, h) = (13, 9);
+        let v: Vec<f32> = (0..w * h).map(|i| ((i * 7919) % 31) as f32).collect();
+        let got = box_mean(&v, w, 2);
+        for y in 0..h {
+            for x in 0..w {
+                let (mut sum, mut n) = (0.0, 0.0);
+                for yy in y.saturating_sub(2)..(y + 3).min(h) {
+                    for xx in x.saturating_sub(2)..(x + 3).min(w) {
+                        sum += v[yy * w + xx];
+                        n += 1.0;
+                    }
+                }
+                assert!((got[y * w + x] - sum / n).abs() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn softened_masks_only_grow() {
+        let (w, h) = (30, 20);
+        let mut raw = vec![255u8; w * h];
+        raw[10 * w + 15] = 0;
+        let soft = soften(&raw, w, h);
+        assert_eq!(soft[10 * w + 15], 0);
+        assert_eq!(soft[10 * w + 16], 0);
+        assert_eq!(soft[2 * w + 2], 255);
+        assert!(soft[10 * w + 19] > 0 && soft[10 * w + 19] < 255);
+    }
+}

@@ -1,0 +1,309 @@
+//! Hand-held exposure brackets to radiance [Menzel, thesis, ch. 5].
+//!
+//! `exposures → response → alignment field → ghost confidence → weighted log merge`. [`merge_bracket`] is the whole
+//! chain; its parts are one file each. Pictures come in as [`translume_image::Codes`] with a relative exposure, any
+//! number from two up, in any order; the result is linear radiance in the frame of one of them, the anchor.
+//!
+//! This crate knows nothing about files, options or reports.
+
+mod align;
+mod decode;
+mod exposure;
+mod field;
+mod ghost;
+mod global;
+mod local;
+mod merge;
+mod plane;
+mod response;
+mod sampling;
+mod sets;
+mod warp;
+mod weight;
+
+pub use align::{Aligned, Alignment};
+pub use exposure::{Exposure, check};
+pub use field::{Affine, Field, Grid};
+pub use ghost::GhostParams;
+pub use merge::Weights;
+pub use response::{NODES, Response};
+pub use sets::{Grouping, group, parse_list, parse_seconds};
+pub use weight::{Noise, spline};
+
+use exposure::Shot;
+use rayon::prelude::*;
+use std::time::Instant;
+use translume_image::Rgb32FImage;
+
+/// What can go wrong with a bracket.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The pictures are no bracket.
+    #[error("{0}")]
+    Bracket(String),
+    /// The response cannot be found or used.
+    #[error("camera response: {0}")]
+    Response(String),
+}
+
+/// Result with this crate's [`Error`].
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Options of [`merge_bracket`]; the default is the thesis' method with what this crate adds to it.
+#[derive(Clone, Debug)]
+pub struct Params {
+    /// How far to align.
+    pub alignment: Alignment,
+    /// Whether to look for ghosts, and how.
+    pub ghosts: Option<GhostParams>,
+    /// The picture whose view the result has (index in the order given); by default the one of highest entropy.
+    pub anchor: Option<usize>,
+    /// A known response instead of an estimated one.
+    pub response: Option<Response>,
+    /// Codes are proportional to exposure.
+    pub linear: bool,
+    /// How pixels are weighed.
+    pub weights: Weights,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            alignment: Alignment::NonLinear,
+            ghosts: Some(GhostParams::default()),
+            anchor: None,
+            response: None,
+            linear: false,
+            weights: Weights::Spline,
+        }
+    }
+}
+
+/// The result of [`merge_bracket`].
+#[derive(Debug)]
+pub struct Merged {
+    /// Linear radiance in the anchor's frame and the source's primaries, scaled so that the anchor's values come out as
+    /// its own decoded codes: mid code of an encoded picture is 0.214, a linear picture keeps its values.
+    pub radiance: Rgb32FImage,
+    /// Relative radiance (per unit of exposure) of value 1.
+    pub unit: f64,
+    /// Index of the anchor.
+    pub anchor: usize,
+    /// The response, for sources that have one.
+    pub response: Option<Response>,
+    /// Alignment per picture.
+    pub aligned: Vec<Aligned>,
+    /// Ghost confidence per picture in the anchor's frame, 0 to 255; `None` for the anchor or without ghost removal.
+    pub confidences: Vec<Option<Vec<u8>>>,
+    /// Pixels of which some channel is only a bound (clipped wherever it is trusted), row by row.
+    pub bounds: Vec<bool>,
+    /// Seconds per stage, in order.
+    pub seconds: Vec<(&'static str, f64)>,
+    /// What a person should know.
+    pub warnings: Vec<String>,
+}
+
+/// Linear value of mid code in an sRGB picture.
+const MID: f64 = 0.2140;
+
+/// Merges a bracket; `progress` is told the stages and pictures as they begin.
+///
+/// # Errors
+/// [`Error::Bracket`] for pictures that cannot be merged, [`Error::Response`] when the response cannot be solved.
+pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn(&str) + Sync)) -> Result<Merged> {
+    check(exposures)?;
+    let mut clock = Clock::start();
+    let mut warnings = Vec::new();
+
+    progress("preparing");
+    let start = params.response.clone().unwrap_or_else(Response::linear);
+    start.validate()?;
+    let mut shots: Vec<Shot<'_>> = exposures
+        .par_iter()
+        .map(|e| Shot {
+            name: &e.name,
+            codes: &e.codes,
+            log_secs: e.secs.ln() as f32,
+            border: exposure::find_border(&e.codes),
+            tolerance: 0.03,
+            decoder: exposure::decoder_of(&e.codes, &start),
+        })
+        .collect();
+    let mut order: Vec<usize> = (0..shots.len()).collect();
+    order.sort_by(|a, b| exposures[*a].secs.total_cmp(&exposures[*b].secs).then(a.cmp(b)));
+    let anchor = match params.anchor {
+        Some(a) if a < shots.len() => a,
+        Some(a) => {
+            return Err(Error::Bracket(format!("--anchor {a}: there are {} pictures, counted from 0", shots.len())));
+        }
+        None => highest_entropy(&shots),
+    };
+    let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
+    let solve = params.response.is_none() && !params.linear && !exposures[0].codes.is_linear();
+    if solve {
+        let samples = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
+        set_all(&mut shots, &response::solve(&samples, &log_secs, None)?);
+    }
+    clock.lap("prepare");
+
+    progress("aligning");
+    let aligned = align::align(&shots, &order, anchor, params.alignment, progress);
+    warnings.extend(aligned.iter().filter_map(|a| a.note.clone()));
+    clock.lap("align");
+
+    progress("response");
+    let points = sampling::aligned_points(&shots, &aligned, anchor);
+    if solve {
+        let samples: [Vec<response::Sample>; 3] =
+            std::array::from_fn(|c| sampling::comparagram_samples(&shots, &points, &order, c));
+        // Too few flat points (a tiny picture): the histogram's curve stands.
+        let preliminary = shots[anchor].response().cloned();
+        if let Ok(r) = response::solve(&samples, &log_secs, preliminary.as_ref()) {
+            set_all(&mut shots, &r);
+        }
+    }
+    warnings.extend(check_order(&shots, &points, &order));
+    let corrections = balance(&mut shots, &points, &order, anchor);
+    warnings.extend(corrections.iter().zip(&shots).filter(|(ev, _)| ev.abs() > 0.25).map(|(ev, s)| {
+        format!("{}: its pixels say {ev:+.2} EV against the exposure given; merged as the pixels say", s.name)
+    }));
+    clock.lap("response");
+
+    progress("ghosts");
+    let confidences = match &params.ghosts {
+        Some(g) => ghost::confidences(&shots, &aligned, &order, anchor, g),
+        None => vec![None; shots.len()],
+    };
+    clock.lap("ghosts");
+
+    progress("merging");
+    let (shortest, longest) = (order[0], order[order.len() - 1]);
+    let job = merge::Merge {
+        shots: &shots,
+        aligned: &aligned,
+        confidences: &confidences,
+        anchor,
+        shortest,
+        longest,
+        weights: params.weights,
+    };
+    let (mut values, bounds) = merge::merge(&job);
+    let mid = if exposures[0].codes.is_linear() { 1.0 } else { MID };
+    let scale = f64::from(shots[anchor].log_secs) + mid.ln();
+    values.par_iter_mut().for_each(|v| *v = (*v + scale as f32).exp());
+    clock.lap("merge");
+
+    let (w, h) = (shots[anchor].width() as u32, shots[anchor].height() as u32);
+    let response = shots[anchor].response().cloned();
+    let radiance = Rgb32FImage::from_raw(w, h, values).ok_or_else(|| Error::Bracket("picture too large".into()))?;
+    Ok(Merged {
+        radiance,
+        unit: (-scale).exp(),
+        anchor,
+        response,
+        aligned,
+        confidences,
+        bounds,
+        seconds: clock.laps,
+        warnings,
+    })
+}
+
+fn set_all(shots: &mut [Shot<'_>], response: &Response) {
+    shots.iter_mut().for_each(|s| s.set_response(response));
+}
+
+/// Seconds per stage.
+struct Clock {
+    last: Instant,
+    laps: Vec<(&'static str, f64)>,
+}
+
+impl Clock {
+    fn start() -> Self {
+        Self { last: Instant::now(), laps: Vec::new() }
+    }
+
+    fn lap(&mut self, name: &'static str) {
+        self.laps.push((name, self.last.elapsed().as_secs_f64()));
+        self.last = Instant::now();
+    }
+}
+
+/// The picture whose histogram of green codes has the highest entropy [Menzel ch. 5 §1]; of equals the first.
+fn highest_entropy(shots: &[Shot<'_>]) -> usize {
+    let entropies: Vec<f64> = shots
+        .par_iter()
+        .map(|s| {
+            let mut counts = [0.0f64; 256];
+            let mut row = vec![0.0f32; 3 * s.width()];
+            for y in (0..s.height()).step_by((s.height() / 400).max(1)) {
+                s.unit_row(y, &mut row);
+                for (x, p) in row.chunks_exact(3).enumerate() {
+                    if s.is_picture(y * s.width() + x) {
+                        counts[(s.decoder.encoded(p[1]) * 255.0 + 0.5) as usize] += 1.0;
+                    }
+                }
+            }
+            let total: f64 = counts.iter().sum();
+            counts.iter().filter(|c| **c > 0.0).map(|c| -(c / total) * (c / total).ln()).sum()
+        })
+        .collect();
+    (0..shots.len()).fold(0, |best, i| if entropies[i] > entropies[best] + 1e-9 { i } else { best })
+}
+
+/// Green codes that both pictures of a pair record well, on common points.
+fn well_exposed(shots: &[Shot<'_>], points: &[sampling::Point], a: usize, b: usize) -> Vec<(f32, f32)> {
+    let good = |d: &decode::Decoder, u: f32| (0.1..0.9).contains(&d.encoded(u)) && !d.is_clipped(u);
+    let pair = |p: &sampling::Point| Some((p.codes[a]?[1], p.codes[b]?[1]));
+    points.iter().filter_map(pair).filter(|(u, v)| good(&shots[a].decoder, *u) && good(&shots[b].decoder, *v)).collect()
+}
+
+/// Fewest common points that say something about a pair.
+const FEWEST: usize = 20;
+
+/// Warns of pictures that are darker than shorter ones.
+fn check_order(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize]) -> Option<String> {
+    order.windows(2).find_map(|pair| {
+        let (a, b) = (pair[0], pair[1]);
+        let codes = well_exposed(shots, points, a, b);
+        let darker = codes.iter().filter(|(u, v)| v < u).count();
+        let wrong = codes.len() >= FEWEST && 2 * darker > codes.len() && shots[b].log_secs > shots[a].log_secs + 0.1;
+        wrong.then(|| {
+            format!(
+                "{} is darker than {}, but its exposure is longer: are the exposures in the order of the pictures? (--exposures, --list)",
+                shots[b].name, shots[a].name
+            )
+        })
+    })
+}
+
+/// Corrects each exposure by what common pixels say (shutters are off by a tenth of a stop and more) and sets how far
+/// pictures may differ before that is a ghost; returns the corrections in EV.
+fn balance(shots: &mut [Shot<'_>], points: &[sampling::Point], order: &[usize], anchor: usize) -> Vec<f32> {
+    let mut corrections = vec![0.0f32; shots.len()];
+    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
+    let longer = order[at..].windows(2).map(|w| (w[0], w[1]));
+    let shorter = order[..=at].windows(2).rev().map(|w| (w[1], w[0]));
+    for (from, to) in longer.chain(shorter).collect::<Vec<_>>() {
+        let l = |i: usize, u: f32| shots[i].decoder.log_exposure(1, u) - shots[i].log_secs;
+        let mut differences: Vec<f32> =
+            well_exposed(shots, points, from, to).iter().map(|(u, v)| l(to, *v) - l(from, *u)).collect();
+        if differences.len() < FEWEST {
+            continue;
+        }
+        let mid = differences.len() / 2;
+        let median = *differences.select_nth_unstable_by(mid, f32::total_cmp).1;
+        differences.iter_mut().for_each(|d| *d = (*d - median).abs());
+        let spread = 1.4826 * *differences.select_nth_unstable_by(mid, f32::total_cmp).1;
+        shots[to].log_secs += median;
+        shots[to].tolerance = (0.02 + spread).min(0.15);
+        corrections[to] = median / std::f32::consts::LN_2;
+    }
+    corrections
+}
+
+/// Share of pixels whose confidence is below one half, per picture.
+pub fn ghost_share(confidence: &[u8]) -> f64 {
+    confidence.iter().filter(|c| **c < 128).count() as f64 / confidence.len().max(1) as f64
+}

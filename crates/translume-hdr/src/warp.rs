@@ -1,0 +1,121 @@
+//! Rows of a picture as the anchor sees them: unit codes looked up through the displacement field.
+
+use crate::exposure::Shot;
+use crate::field::Field;
+use crate::plane::catmull_rom;
+
+/// Rows `y0..y1` of a picture in the anchor's frame.
+pub(crate) struct Strip {
+    pub(crate) width: usize,
+    /// Interleaved RGB unit codes.
+    pub(crate) codes: Vec<f32>,
+    /// Whether the picture sees the pixel at all.
+    pub(crate) seen: Vec<bool>,
+}
+
+impl Strip {
+    #[inline]
+    pub(crate) fn pixel(&self, i: usize) -> [f32; 3] {
+        [self.codes[3 * i], self.codes[3 * i + 1], self.codes[3 * i + 2]]
+    }
+}
+
+/// Looks rows `rows` up through `field`.
+///
+/// Catmull–Rom in the code domain, kept inside the range of the four pixels around the position; a value of which one
+/// of those four is clipped is clipped too, so that no mixture of clipped and good pixels passes for good.
+pub(crate) fn strip(shot: &Shot<'_>, field: &Field, rows: std::ops::Range<usize>) -> Strip {
+    let w = shot.width();
+    let n = rows.len() * w;
+    let mut out = Strip { width: w, codes: vec![0.0; 3 * n], seen: vec![true; n] };
+    if field.is_identity() {
+        for (k, y) in rows.enumerate() {
+            shot.unit_row(y, &mut out.codes[3 * k * w..3 * (k + 1) * w]);
+            for x in 0..w {
+                out.seen[k * w + x] = shot.is_picture(y * w + x);
+            }
+        }
+        return out;
+    }
+    let (first, window) = source_rows(shot, field, &rows);
+    for (k, y) in rows.enumerate() {
+        for x in 0..w {
+            let (sx, sy) = field.source(x as f32, y as f32);
+            let i = k * w + x;
+            match lookup(shot, &window, first, sx, sy) {
+                Some(rgb) => out.codes[3 * i..3 * i + 3].copy_from_slice(&rgb),
+                None => out.seen[i] = false,
+            }
+        }
+    }
+    out
+}
+
+/// The source rows that a strip reads, as unit codes, and the index of the first.
+fn source_rows(shot: &Shot<'_>, field: &Field, rows: &std::ops::Range<usize>) -> (usize, Vec<f32>) {
+    let (w, h) = (shot.width(), shot.height());
+    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+    for y in rows.clone() {
+        for x in (0..w).step_by(8).chain([w - 1]) {
+            let sy = field.source(x as f32, y as f32).1;
+            low = low.min(sy);
+            high = high.max(sy);
+        }
+    }
+    // Between samples 8 pixels apart a field with jumps can reach a little further.
+    let margin = 8.0;
+    let first = (low - margin).clamp(0.0, (h - 1) as f32) as usize;
+    let last = (high + margin).clamp(0.0, (h - 1) as f32) as usize;
+    let mut window = vec![0.0; 3 * w * (last - first + 1)];
+    for (k, out) in window.chunks_exact_mut(3 * w).enumerate() {
+        shot.unit_row(first + k, out);
+    }
+    (first, window)
+}
+
+/// The interpolated code, `None` outside the picture or on its border.
+#[inline]
+fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Option<[f32; 3]> {
+    let (w, h) = (shot.width() as isize, shot.height() as isize);
+    // Half a pixel beyond the outermost centres still belongs to the picture.
+    if !(sx >= -0.5 && sy >= -0.5 && sx <= w as f32 - 0.5 && sy <= h as f32 - 0.5) {
+        return None;
+    }
+    let rows = (window.len() / (3 * w as usize)) as isize;
+    let (fx, fy) = (sx.floor(), sy.floor());
+    let (ix, iy) = (fx as isize, fy as isize);
+    let column = |k: isize| (ix + k).clamp(0, w - 1) as usize * 3;
+    let row = |k: isize| ((iy + k).clamp(0, h - 1) - first as isize).clamp(0, rows - 1) as usize * 3 * w as usize;
+    if let Some(border) = &shot.border {
+        let inside = |k: isize, l: isize| border[((iy + k).clamp(0, h - 1) * w + (ix + l).clamp(0, w - 1)) as usize];
+        if inside(0, 0) || inside(0, 1) || inside(1, 0) || inside(1, 1) {
+            return None;
+        }
+    }
+    let (wx, wy) = (catmull_rom(sx - fx), catmull_rom(sy - fy));
+    let columns = [column(-1), column(0), column(1), column(2)];
+    let rows = [row(-1), row(0), row(1), row(2)];
+    let mut out = [0.0f32; 3];
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for (k, (r, wy)) in rows.iter().zip(wy).enumerate() {
+        for (l, (x, wx)) in columns.iter().zip(wx).enumerate() {
+            let p = &window[r + x..r + x + 3];
+            let core = (1..=2).contains(&k) && (1..=2).contains(&l);
+            for c in 0..3 {
+                out[c] += wy * wx * p[c];
+                if core {
+                    low[c] = low[c].min(p[c]);
+                    high[c] = high[c].max(p[c]);
+                }
+            }
+        }
+    }
+    for c in 0..3 {
+        out[c] = if shot.decoder.is_clipped(high[c]) && wx[1] * wy[1] < 0.999 {
+            high[c]
+        } else {
+            out[c].clamp(low[c], high[c])
+        };
+    }
+    Some(out)
+}

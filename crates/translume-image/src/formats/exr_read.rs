@@ -1,0 +1,357 @@
+//! OpenEXR as it comes: multi-part, tiled, mip-mapped (the full level is read), half, float and integer channels, named
+//! layers, data window unequal to the display window, luminance/chroma. Deep pictures are refused.
+//!
+//! A picture has the size of the display window: pixels outside the data window are zero (and transparent), data
+//! outside the display window is left out.
+
+use super::exr_chroma;
+use crate::raster::{Raster, Transfer};
+use crate::{Error, Metadata, Result, Samples, limits, orient::Orientation};
+use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
+use exr::math::Vec2;
+use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
+use exr::meta::header::Header;
+use std::io::{BufRead, Seek};
+use std::path::Path;
+
+/// A channel as stored.
+#[derive(Clone, Debug)]
+pub struct ExrChannel {
+    /// Name with its layer in front, as in `albedo.R`.
+    pub name: String,
+    /// `half`, `float` or `uint`.
+    pub sample_type: &'static str,
+}
+
+/// One part of a file.
+#[derive(Clone, Debug)]
+pub struct ExrPart {
+    /// Name, if the file gives one.
+    pub name: Option<String>,
+    /// Channels in the order of the file (alphabetical).
+    pub channels: Vec<ExrChannel>,
+    /// Compression method.
+    pub compression: String,
+    /// Tile size, if tiled.
+    pub tiles: Option<[usize; 2]>,
+    /// First column, first row, width and height of the stored pixels.
+    pub data_window: [i64; 4],
+    /// First column, first row, width and height of the picture.
+    pub display_window: [i64; 4],
+    /// Text attributes beside the standard ones (provenance).
+    pub texts: Vec<(String, String)>,
+}
+
+/// The parts of an OpenEXR file, from its headers alone.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] (deep data).
+pub fn read_exr_parts(path: &Path) -> Result<Vec<ExrPart>> {
+    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
+    let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
+    Ok(reader.headers().iter().map(describe).collect())
+}
+
+/// The channels of one part.
+#[derive(Clone, Debug)]
+pub struct ExrPlanes {
+    /// Pixels in a row of the data window.
+    pub width: usize,
+    /// Rows of the data window.
+    pub height: usize,
+    /// Name and `width * height` values of each channel, in the order of the file (alphabetical).
+    pub planes: Vec<(String, Vec<f32>)>,
+}
+
+/// Every channel of part `part` (0 is the first) as float planes.
+///
+/// # Errors
+/// As [`crate::read_picture`]; subsampled channels are [`Error::Unsupported`].
+pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
+    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
+    let file_bytes = file.metadata().map_err(|e| Error::io(path, e))?.len();
+    let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
+    let Some(header) = reader.headers().get(part).cloned() else {
+        return Err(Error::Mismatch(format!("{}: there is no part {part}", path.display())));
+    };
+    refuse_deep(path, &header)?;
+    let (width, height) = (header.layer_size.x(), header.layer_size.y());
+    let channels = &header.channels.list;
+    let count = limits::samples(
+        path,
+        (width as u64, height as u64),
+        channels.len() as u64,
+        2,
+        file_bytes,
+        limits::MAX_RATIO_EXR,
+    )?;
+    let mut planes = limits::buffer::<f32>(path, count)?;
+    read_lines(reader, part, path, |line| {
+        let Vec2(x, y) = line.location.position;
+        let channel = line.location.channel;
+        let start = (channel * height + y) * width + x;
+        each_sample(&line, channels[channel].sample_type, |i, v| planes[start + i] = v);
+    })?;
+    let planes = planes.chunks_exact(width * height);
+    let planes = channels.iter().zip(planes).map(|(c, p)| (c.name.to_string(), p.to_vec())).collect();
+    Ok(ExrPlanes { width, height, planes })
+}
+
+pub(crate) fn read<R: BufRead + Seek>(file: R, file_bytes: u64, path: &Path) -> Result<Raster> {
+    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
+    for header in reader.headers() {
+        refuse_deep(path, header)?;
+    }
+    let (part, roles) = choose(reader.headers(), path)?;
+    let header = reader.headers()[part].clone();
+    let frame = Frame::new(&header, roles.slots(), file_bytes, path)?;
+    let mut samples = limits::buffer::<f32>(path, frame.width * frame.height * frame.slots)?;
+    read_lines(reader, part, path, |line| {
+        let Some(slot) = roles.slot(line.location.channel) else { return };
+        let Vec2(x, y) = line.location.position;
+        let Some((first, skip, count)) = frame.run(x as i64, y as i64, line.location.sample_count) else { return };
+        let sample_type = header.channels.list[line.location.channel].sample_type;
+        each_sample(&line, sample_type, |i, v| {
+            if i >= skip && i < skip + count {
+                samples[(first + i - skip) * frame.slots + slot] = v;
+            }
+        });
+    })?;
+    let metadata = metadata(&header);
+    if let Roles { luma_chroma: true, .. } = roles {
+        exr_chroma::to_rgb(&mut samples, frame.slots, metadata.chromaticities);
+    }
+    Ok(raster(&frame, samples, metadata))
+}
+
+pub(crate) fn raster(frame: &Frame, samples: Vec<f32>, metadata: Metadata) -> Raster {
+    Raster {
+        width: frame.width,
+        height: frame.height,
+        channels: frame.slots,
+        samples: Samples::F32(samples),
+        transfer: Transfer::Power(1.0),
+        orientation: Orientation::default(),
+        metadata,
+    }
+}
+
+/// Where the data window lies in the picture.
+pub(crate) struct Frame {
+    pub width: usize,
+    pub height: usize,
+    pub slots: usize,
+    offset: (i64, i64),
+}
+
+impl Frame {
+    pub(crate) fn new(header: &Header, slots: usize, file_bytes: u64, path: &Path) -> Result<Self> {
+        let display = header.shared_attributes.display_window;
+        let data = header.data_window();
+        let size = (display.size.x() as u64, display.size.y() as u64);
+        // Each window is judged by itself: either may be the bomb.
+        limits::samples(path, size, slots as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
+        let stored = (data.size.x() as u64, data.size.y() as u64);
+        limits::samples(path, stored, header.channels.list.len() as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
+        let offset = (
+            i64::from(data.position.x()) - i64::from(display.position.x()),
+            i64::from(data.position.y()) - i64::from(display.position.y()),
+        );
+        Ok(Self { width: display.size.x(), height: display.size.y(), slots, offset })
+    }
+
+    /// The visible part of `count` samples from (x, y) of the data window on: index of the first pixel in the picture,
+    /// samples to skip, samples to take.
+    pub(crate) fn run(&self, x: i64, y: i64, count: usize) -> Option<(usize, usize, usize)> {
+        let (x, y) = (x + self.offset.0, y + self.offset.1);
+        let (first, last) = (x.max(0), (x + count as i64).min(self.width as i64));
+        if y < 0 || y >= self.height as i64 || first >= last {
+            return None;
+        }
+        Some((y as usize * self.width + first as usize, (first - x) as usize, (last - first) as usize))
+    }
+}
+
+/// Which channel of a part goes where.
+#[derive(Debug)]
+pub(crate) struct Roles {
+    /// Channel indices of red, green, blue; or of gray alone; or of RY, Y, BY.
+    colour: Vec<usize>,
+    alpha: Option<usize>,
+    pub luma_chroma: bool,
+}
+
+impl Roles {
+    /// The roles of the channels that `prefix` leads, if they make a picture.
+    pub(crate) fn of(header: &Header, prefix: &str) -> Option<Self> {
+        let find = |name: &str| header.channels.list.iter().position(|c| c.name.eq(format!("{prefix}{name}").as_str()));
+        let alpha = find("A");
+        let all = |names: [&str; 3]| names.iter().map(|n| find(n)).collect::<Option<Vec<_>>>();
+        if let Some(colour) = all(["R", "G", "B"]) {
+            return Some(Self { colour, alpha, luma_chroma: false });
+        }
+        if let Some(colour) = all(["RY", "Y", "BY"]) {
+            return Some(Self { colour, alpha, luma_chroma: true });
+        }
+        Some(Self { colour: vec![find("Y")?], alpha, luma_chroma: false })
+    }
+
+    pub(crate) fn slots(&self) -> usize {
+        self.colour.len() + usize::from(self.alpha.is_some())
+    }
+
+    /// The place of channel `channel` in an output pixel.
+    pub(crate) fn slot(&self, channel: usize) -> Option<usize> {
+        let colour = self.colour.iter().position(|&c| c == channel);
+        colour.or_else(|| (self.alpha == Some(channel)).then_some(self.colour.len()))
+    }
+}
+
+/// The first part and layer with colour: plain R, G, B (or Y) before named layers, named layers before a lone channel.
+fn choose(headers: &[Header], path: &Path) -> Result<(usize, Roles)> {
+    if let Some(found) = headers.iter().enumerate().find_map(|(i, h)| Some((i, Roles::of(h, "")?))) {
+        return Ok(found);
+    }
+    for (i, header) in headers.iter().enumerate() {
+        for channel in &header.channels.list {
+            let name = channel.name.to_string();
+            let prefix = name.rfind('.').map_or("", |dot| &name[..=dot]);
+            if let Some(roles) = Roles::of(header, prefix) {
+                return Ok((i, roles));
+            }
+        }
+    }
+    match headers.iter().position(|h| h.channels.list.len() == 1) {
+        Some(i) => Ok((i, Roles { colour: vec![0], alpha: None, luma_chroma: false })),
+        None => {
+            let names = headers.iter().flat_map(|h| &h.channels.list).map(|c| c.name.to_string());
+            let names: Vec<String> = names.take(12).collect();
+            Err(Error::unsupported(path, format!("no R, G, B or Y among the channels {}", names.join(", "))))
+        }
+    }
+}
+
+/// Calls `take` with index and value of each sample of a line.
+pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take: impl FnMut(usize, f32)) {
+    match sample_type {
+        SampleType::F16 => {
+            for (i, b) in line.value.as_chunks::<2>().0.iter().enumerate() {
+                take(i, half::f16::from_ne_bytes(*b).to_f32());
+            }
+        }
+        SampleType::F32 => {
+            for (i, b) in line.value.as_chunks::<4>().0.iter().enumerate() {
+                take(i, f32::from_ne_bytes(*b));
+            }
+        }
+        SampleType::U32 => {
+            for (i, b) in line.value.as_chunks::<4>().0.iter().enumerate() {
+                take(i, u32::from_ne_bytes(*b) as f32);
+            }
+        }
+    }
+}
+
+/// Decompresses the full-resolution blocks of one part and hands over their lines.
+fn read_lines<R: BufRead + Seek>(
+    reader: block::reader::Reader<R>,
+    part: usize,
+    path: &Path,
+    mut take: impl FnMut(LineRef<'_>),
+) -> Result<()> {
+    let chunks = reader
+        .filter_chunks(false, |_, tile, block| block.layer == part && tile.level_index == Vec2(0, 0))
+        .map_err(|e| failed(path, e))?;
+    let mut insert = |meta: &exr::meta::MetaData, block: UncompressedBlock| {
+        block.lines(&meta.headers[part].channels).for_each(&mut take);
+        Ok(())
+    };
+    chunks.decompress_parallel(false, &mut insert).map_err(|e| failed(path, e))
+}
+
+fn refuse_deep(path: &Path, header: &Header) -> Result<()> {
+    if header.deep {
+        return Err(Error::unsupported(path, "a deep OpenEXR picture; flatten it first"));
+    }
+    Ok(())
+}
+
+pub(crate) fn failed(path: &Path, e: exr::error::Error) -> Error {
+    match e {
+        exr::error::Error::Io(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::io(path, e),
+        exr::error::Error::Io(_) => Error::invalid(path, "the OpenEXR file ends before its picture does (truncated)"),
+        exr::error::Error::NotSupported(what) => Error::unsupported(path, format!("OpenEXR: {what}")),
+        other => Error::invalid(path, format!("damaged or truncated OpenEXR ({other})")),
+    }
+}
+
+/// The facts of the shot from the standard attributes.
+pub(crate) fn metadata(header: &Header) -> Metadata {
+    let own = &header.own_attributes;
+    let number = |v: Option<f32>| v.map(f64::from).filter(|v| v.is_finite() && *v > 0.0);
+    let text = |v: &Option<Text>| v.as_ref().map(ToString::to_string).filter(|s| !s.is_empty());
+    let other = |name: &str| match own.other.get(&Text::from(name)) {
+        Some(AttributeValue::Text(t)) => Some(t.to_string()),
+        _ => None,
+    };
+    Metadata {
+        exposure_secs: number(own.exposure),
+        f_number: number(own.aperture),
+        iso: number(own.iso_speed),
+        camera: match (other("cameraMake"), other("cameraModel")) {
+            (Some(make), Some(model)) if !model.starts_with(&make) => Some(format!("{make} {model}")),
+            (make, model) => model.or(make),
+        },
+        owner: text(&own.owner),
+        date_time: text(&own.capture_date),
+        icc: None,
+        chromaticities: header
+            .shared_attributes
+            .chromaticities
+            .map(|c: Chromaticities| [c.red, c.green, c.blue, c.white].map(|v| [v.x(), v.y()])),
+    }
+}
+
+fn describe(header: &Header) -> ExrPart {
+    let data = header.data_window();
+    let display = header.shared_attributes.display_window;
+    let window = |w: exr::meta::attribute::IntegerBounds| {
+        [i64::from(w.position.x()), i64::from(w.position.y()), w.size.x() as i64, w.size.y() as i64]
+    };
+    let own = &header.own_attributes;
+    let mut texts: Vec<(String, String)> = own
+        .other
+        .iter()
+        .filter_map(|(k, v)| match v {
+            AttributeValue::Text(t) => Some((k.to_string(), t.to_string())),
+            _ => None,
+        })
+        .collect();
+    let named = [("software", &own.software_name), ("comments", &own.comments), ("owner", &own.owner)];
+    texts.extend(named.iter().filter_map(|(k, v)| Some(((*k).to_owned(), v.as_ref()?.to_string()))));
+    texts.sort();
+    ExrPart {
+        name: own.layer_name.as_ref().map(ToString::to_string),
+        channels: header
+            .channels
+            .list
+            .iter()
+            .map(|c| ExrChannel {
+                name: c.name.to_string(),
+                sample_type: match c.sample_type {
+                    SampleType::F16 => "half",
+                    SampleType::F32 => "float",
+                    SampleType::U32 => "uint",
+                },
+            })
+            .collect(),
+        compression: header.compression.to_string(),
+        tiles: match header.blocks {
+            exr::meta::BlockDescription::Tiles(t) => Some([t.tile_size.x(), t.tile_size.y()]),
+            exr::meta::BlockDescription::ScanLines => None,
+        },
+        data_window: window(data),
+        display_window: window(display),
+        texts,
+    }
+}

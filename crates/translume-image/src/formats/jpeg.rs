@@ -1,0 +1,55 @@
+//! JPEG: zune-jpeg's decoder, with the check for an end that it leaves to its caller.
+
+use crate::raster::{Raster, Transfer};
+use crate::{Error, Metadata, Result, Samples, exif, limits, orient::Orientation};
+use std::path::Path;
+use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
+use zune_jpeg::JpegDecoder;
+
+pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
+    let invalid = |e: zune_jpeg::errors::DecodeErrors| Error::invalid(path, format!("damaged JPEG ({e:?})"));
+    // Strict mode refuses harmless padding that cameras write; truncation is checked below instead.
+    let options = DecoderOptions::default().set_strict_mode(false).set_max_width(65535).set_max_height(65535);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), options);
+    decoder.decode_headers().map_err(invalid)?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| Error::invalid(path, "JPEG without a frame header"))?;
+    let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
+    let (space, channels) = if gray { (ColorSpace::Luma, 1) } else { (ColorSpace::RGB, 3) };
+    decoder.set_options(options.jpeg_set_out_colorspace(space));
+    let count =
+        limits::samples(path, (width as u64, height as u64), channels, 1, file.len() as u64, limits::MAX_RATIO)?;
+    if !reaches_end(file) {
+        return Err(Error::invalid(path, "the JPEG ends before its picture does (truncated); copy the file again"));
+    }
+    let mut samples = limits::buffer::<u8>(path, count)?;
+    decoder.decode_into(&mut samples).map_err(invalid)?;
+
+    let mut metadata = Metadata { icc: decoder.icc_profile(), ..Metadata::default() };
+    let orientation = decoder.exif().map_or(Orientation::default(), |e| exif::read_block(e.clone(), &mut metadata));
+    Ok(Raster {
+        width,
+        height,
+        channels: channels as usize,
+        samples: Samples::U8(samples),
+        transfer: Transfer::Srgb,
+        orientation,
+        metadata,
+    })
+}
+
+/// Whether the marker structure runs through to the end-of-image marker (thumbnails inside segments do not count).
+fn reaches_end(file: &[u8]) -> bool {
+    let mut i = 2;
+    loop {
+        // Skips entropy-coded bytes and fill bytes up to a marker that is neither a stuffed zero nor a restart.
+        while i + 1 < file.len() && (file[i] != 0xff || matches!(file[i + 1], 0x00 | 0xff | 0xd0..=0xd7)) {
+            i += 1;
+        }
+        let Some(&marker) = file.get(i + 1) else { return false };
+        if marker == 0xd9 {
+            return true;
+        }
+        let Some(length) = file.get(i + 2..i + 4) else { return false };
+        i += 2 + usize::from(u16::from_be_bytes([length[0], length[1]]));
+    }
+}

@@ -1,0 +1,10 @@
+//! One file format each: bytes to samples and back.
+
+pub(crate) mod exr_chroma;
+pub(crate) mod exr_read;
+pub(crate) mod exr_write;
+pub(crate) mod jpeg;
+pub(crate) mod pfm;
+pub(crate) mod png;
+pub(crate) mod radiance;
+pub(crate) mod tiff;

@@ -1,0 +1,111 @@
+//! PNG, 1 to 16 bits, every colour type, with its eXIf, iCCP, sRGB and gAMA chunks.
+
+use crate::raster::{Raster, Transfer};
+use crate::{Error, Metadata, Result, Samples, atomic, exif, limits, orient::Orientation};
+use std::io::Cursor;
+use std::path::Path;
+
+pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
+    let invalid = |e: png::DecodingError| Error::invalid(path, format!("damaged or truncated PNG ({e})"));
+    let mut decoder = png::Decoder::new(Cursor::new(file));
+    decoder.set_transformations(png::Transformations::EXPAND);
+    decoder.set_ignore_text_chunk(true);
+    let header = decoder.read_header_info().map_err(invalid)?;
+    let size = (u64::from(header.width), u64::from(header.height));
+    let file_bytes = file.len() as u64;
+    limits::samples(path, size, 1, 1, file_bytes, 8 * limits::MAX_RATIO)?; // down to one bit a pixel
+    // The pixels are counted here; this limit is for what the decoder holds beside them (profiles, rows).
+    decoder.set_limits(png::Limits { bytes: 64 << 20 });
+    let mut reader = decoder.read_info().map_err(invalid)?;
+    let (colour, depth) = reader.output_color_type();
+    let channels = colour.samples();
+    let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
+    // A palette of one bit a pixel grows to RGBA: 32 bytes out per packed byte.
+    let count = limits::samples(path, size, channels as u64, bytes, file_bytes, 32 * limits::MAX_RATIO)?;
+
+    let samples = if bytes == 2 {
+        let mut big_endian = limits::buffer::<u8>(path, count * 2)?;
+        reader.next_frame(&mut big_endian).map_err(invalid)?;
+        Samples::U16(big_endian.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)).collect())
+    } else {
+        let mut v = limits::buffer::<u8>(path, count)?;
+        reader.next_frame(&mut v).map_err(invalid)?;
+        Samples::U8(v)
+    };
+    // Camera tools may write eXIf behind the pixels; a file that ends inside the last chunks still has its picture.
+    let _ = reader.finish();
+
+    let info = reader.info();
+    let mut metadata = Metadata { icc: info.icc_profile.as_ref().map(|p| p.to_vec()), ..Metadata::default() };
+    let orientation =
+        info.exif_metadata.as_ref().map_or(Orientation::default(), |e| exif::read_block(e.to_vec(), &mut metadata));
+    let transfer = match info.gama_chunk {
+        // gAMA holds the encoding exponent; 1/2.2 is how old writers said sRGB.
+        Some(g) if info.srgb.is_none() && g.into_value() > 0.0 && (g.into_value() - 0.45455).abs() > 0.01 => {
+            Transfer::Power(1.0 / g.into_value())
+        }
+        _ => Transfer::Srgb,
+    };
+    Ok(Raster { width: size.0 as usize, height: size.1 as usize, channels, samples, transfer, orientation, metadata })
+}
+
+/// Writes 8-bit sRGB, `3 * width * height` values.
+///
+/// # Errors
+/// [`Error::Io`], or [`Error::Mismatch`] when the number of values is not that of the size.
+pub fn write_png8(path: &Path, (width, height): (usize, usize), rgb: &[u8]) -> Result<()> {
+    write(path, (width, height), png::ColorType::Rgb, png::BitDepth::Eight, rgb)
+}
+
+/// Writes 16-bit sRGB, `3 * width * height` values.
+///
+/// # Errors
+/// As [`write_png8`].
+pub fn write_png16(path: &Path, (width, height): (usize, usize), rgb: &[u16]) -> Result<()> {
+    let bytes: Vec<u8> = rgb.iter().flat_map(|v| v.to_be_bytes()).collect();
+    write(path, (width, height), png::ColorType::Rgb, png::BitDepth::Sixteen, &bytes)
+}
+
+/// Writes 8-bit gray, `width * height` values (masks, confidences).
+///
+/// # Errors
+/// As [`write_png8`].
+pub fn write_gray_png(path: &Path, (width, height): (usize, usize), gray: &[u8]) -> Result<()> {
+    write(path, (width, height), png::ColorType::Grayscale, png::BitDepth::Eight, gray)
+}
+
+fn write(
+    path: &Path,
+    (width, height): (usize, usize),
+    colour: png::ColorType,
+    depth: png::BitDepth,
+    bytes: &[u8],
+) -> Result<()> {
+    let per_pixel = colour.samples() * if depth == png::BitDepth::Sixteen { 2 } else { 1 };
+    if width == 0 || height == 0 || bytes.len() != width * height * per_pixel {
+        return Err(Error::Mismatch(format!(
+            "{}: {} bytes are no {width} × {height} picture",
+            path.display(),
+            bytes.len()
+        )));
+    }
+    let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
+        return Err(Error::unsupported(path, "PNG sides are at most 2^32 - 1 pixels"));
+    };
+    atomic::write(path, |file| {
+        let failed = |e: png::EncodingError| match e {
+            png::EncodingError::IoError(e) => Error::io(path, e),
+            other => Error::unsupported(path, format!("PNG cannot hold this picture ({other})")),
+        };
+        let mut encoder = png::Encoder::new(file, w, h);
+        encoder.set_color(colour);
+        encoder.set_depth(depth);
+        encoder.set_compression(png::Compression::Fast);
+        if colour == png::ColorType::Rgb {
+            encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric);
+        }
+        let mut writer = encoder.write_header().map_err(failed)?;
+        writer.write_image_data(bytes).map_err(failed)?;
+        writer.finish().map_err(failed)
+    })
+}

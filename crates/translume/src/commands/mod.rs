@@ -1,0 +1,31 @@
+//! The verbs, one module each.
+//!
+//! A module holds `Args`, whose doc comment is the help text and whose `after_long_help` starts with `Examples:`, and
+//! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
+//! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
+
+mod completions;
+mod hdr;
+mod man;
+
+use crate::output::Context;
+
+/// What the program can do, in the order of the help.
+#[derive(Debug, clap::Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
+pub(crate) enum Verb {
+    Hdr(hdr::Args),
+    Completions(completions::Args),
+    Man(man::Args),
+}
+
+impl Verb {
+    /// Does it.
+    pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
+        match self {
+            Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Completions(args) => completions::run(args, ctx),
+            Self::Man(args) => man::run(args, ctx),
+        }
+    }
+}

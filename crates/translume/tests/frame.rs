@@ -1,0 +1,150 @@
+//! What every verb shares: exit status, error line, `--json`, `--config`, `--print-config`, completions, man pages.
+
+mod common;
+
+use common::translume;
+use std::fs;
+use tempfile::tempdir;
+
+#[test]
+fn help_and_version_are_fine_and_a_missing_verb_is_not() {
+    let dir = tempdir().unwrap();
+    assert!(translume(dir.path(), &["--help"]).ok().contains("Examples:"));
+    assert!(translume(dir.path(), &["--version"]).ok().starts_with("translume 0."));
+    let nothing = translume(dir.path(), &[]);
+    assert_eq!(nothing.status, 2);
+    assert!(nothing.stderr.contains("Usage:"));
+}
+
+#[test]
+fn wrong_usage_is_one_line_and_status_2() {
+    let dir = tempdir().unwrap();
+    let error = translume(dir.path(), &["man", "--colour"]).error(2);
+    assert!(error.contains("--colour") && error.contains("translume man --help"), "{error}");
+    let error = translume(dir.path(), &["completions"]).error(2);
+    assert!(error.contains("<SHELL>"), "{error}");
+    let error = translume(dir.path(), &["completions", "cobol"]).error(2);
+    assert!(error.contains("bash"), "{error}");
+    let error = translume(dir.path(), &["man", "--jsno"]).error(2);
+    assert!(error.contains("found; tip: a similar argument exists: '--json'"), "{error}");
+    translume(dir.path(), &["man", "--threads", "0"]).error(2);
+    translume(dir.path(), &["man", "--threads", "99999999"]).error(2);
+    translume(dir.path(), &["man", "-q", "-v"]).error(2);
+}
+
+#[test]
+fn a_failure_is_one_line_and_status_1() {
+    let dir = tempdir().unwrap();
+    fs::write(dir.path().join("taken"), "").unwrap();
+    let error = translume(dir.path(), &["man", "taken/pages", "--json"]).error(1);
+    assert!(error.contains("taken/pages"), "{error}");
+    assert!(translume(dir.path(), &["man", "--log-file", "no/folder"]).error(1).contains("no/folder"));
+    assert!(translume(dir.path(), &["man", "--config", "none.toml"]).error(1).contains("none.toml"));
+}
+
+#[test]
+fn completions_for_the_common_shells() {
+    let dir = tempdir().unwrap();
+    for (shell, mark) in [("bash", "complete -F"), ("zsh", "#compdef"), ("fish", "complete -c")] {
+        let script = translume(dir.path(), &["completions", shell]).ok();
+        assert!(script.contains(mark) && script.contains("print-config"), "{shell}: {script}");
+    }
+}
+
+#[test]
+fn man_pages_for_every_verb() {
+    let dir = tempdir().unwrap();
+    let json = translume(dir.path(), &["man", "pages of ours", "--json"]).ok();
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let files = json["files"].as_array().unwrap();
+    assert_eq!(files.len(), fs::read_dir(dir.path().join("pages of ours")).unwrap().count());
+    for verb in ["translume", "translume-man", "translume-completions"] {
+        let page = fs::read_to_string(dir.path().join("pages of ours").join(format!("{verb}.1"))).unwrap();
+        assert!(page.contains(".SH NAME") && page.contains("Examples:"), "{verb}: {page}");
+    }
+}
+
+#[test]
+fn messages_are_quiet_or_verbose_and_all_in_the_log() {
+    let dir = tempdir().unwrap();
+    assert!(translume(dir.path(), &["man", "a"]).stderr.contains("pages in a"));
+    let quiet = translume(dir.path(), &["-q", "man", "a", "--log-file", "run.log"]);
+    assert_eq!(quiet.stderr, "");
+    let log = fs::read_to_string(dir.path().join("run.log")).unwrap();
+    assert!(log.contains("pages in a") && log.contains("translume -q man a --log-file run.log"), "{log}");
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    use std::process::{Command, Stdio};
+    let mut child = Command::new(env!("CARGO_BIN_EXE_translume"))
+        .args(["completions", "bash"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let out = child.wait_with_output().unwrap();
+    assert_eq!((out.status.code(), out.stderr.as_slice()), (Some(0), [].as_slice()));
+}
+
+#[test]
+fn options_come_from_the_file_and_the_command_line_wins() {
+    let dir = tempdir().unwrap();
+    fs::write(dir.path().join("run.toml"), "quiet = true\nlog-file = 'from file.log'\n[man]\ndir = 'from-file'\n")
+        .unwrap();
+    assert_eq!(translume(dir.path(), &["man", "--config", "run.toml"]).stderr, "");
+    assert!(dir.path().join("from-file/translume.1").exists());
+    let log = fs::read_to_string(dir.path().join("from file.log")).unwrap();
+    assert!(log.contains("--quiet '--log-file=from file.log' -- from-file"), "{log}");
+
+    // --quiet of the file yields to -v, its folder to the one given.
+    let loud = translume(dir.path(), &["man", "--config", "run.toml", "-v", "--log_file=x", "given"]);
+    assert_eq!(loud.status, 2, "options have dashes on the command line");
+    let loud = translume(dir.path(), &["man", "--config", "run.toml", "-v", "given"]);
+    assert!(loud.stderr.contains("pages in given"), "{}", loud.stderr);
+}
+
+#[test]
+fn a_mistake_in_the_file_is_named() {
+    let dir = tempdir().unwrap();
+    for (text, mark) in [
+        ("colour = 1", "colour"),
+        ("[man]\ncolour = 1", "colour"),
+        ("[paint]\ncolour = 1", "paint"),
+        ("[completions]\nshel = 'bash'", "shel"),
+        ("config = 'other.toml'", "config"),
+        ("quiet = 3", "quiet"),
+        ("threads = 'many'", "many"),
+        ("threads = [1, 2]", "threads"),
+        ("threads = [[[1]]]", "threads"),
+        ("[man]\ndir = ['a', 'b']", "dir"),
+        ("quiet = true\nquiet", "run.toml:2"),
+    ] {
+        fs::write(dir.path().join("run.toml"), text).unwrap();
+        let error = translume(dir.path(), &["man", "--config", "run.toml"]).error(2);
+        assert!(error.contains(mark) && error.contains("run.toml"), "{text}: {error}");
+    }
+}
+
+#[test]
+fn a_printed_configuration_gives_the_same_run() {
+    let dir = tempdir().unwrap();
+    let given = ["man", "a \"folder\"", "-q", "--threads", "2", "--print-config"];
+    let printed = translume(dir.path(), &given).ok();
+    assert!(!dir.path().join("a \"folder\"").exists(), "printing does not run");
+    fs::write(dir.path().join("run.toml"), &printed).unwrap();
+    let again = translume(dir.path(), &["man", "--config", "run.toml", "--print-config"]).ok();
+    assert_eq!(printed, again);
+    let run = translume(dir.path(), &["man", "--config", "run.toml"]);
+    assert_eq!(run.stderr, "");
+    run.ok();
+    assert!(dir.path().join("a \"folder\"/translume.1").exists());
+}
+
+#[test]
+fn a_configuration_can_be_printed_before_the_inputs_are_known() {
+    let dir = tempdir().unwrap();
+    let printed = translume(dir.path(), &["completions", "--print-config"]).ok();
+    assert!(printed.contains("[completions]") && printed.contains("# shell: not set"), "{printed}");
+}
