@@ -4,7 +4,9 @@
 //! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
+mod compare;
 mod completions;
+mod image;
 mod man;
 
 use crate::output::Context;
@@ -12,6 +14,9 @@ use crate::output::Context;
 /// What the program can do, in the order of the help.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Verb {
+    #[command(subcommand)]
+    Image(image::Args),
+    Compare(compare::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -20,6 +25,8 @@ impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
+            Self::Image(args) => image::run(args, ctx),
+            Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
