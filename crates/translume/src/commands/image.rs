@@ -244,7 +244,7 @@ fn convert(args: ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
         ("pfm", _) => write_pfm(output, &picture)?,
         ("tif" | "tiff", None) => write_tiff_float(output, &picture)?,
         ("png" | "tif" | "tiff", bits) => {
-            save(&tonemap::exposure_gamma(&picture, 0.0, None), output, bits.unwrap_or(8))?
+            save(&tonemap::exposure_gamma(&picture, 0.0, None), output, bits.unwrap_or(8))?;
         }
         _ => {
             let wanted = "name the output .exr, .hdr, .pfm, .tif or .png";
