@@ -35,6 +35,15 @@ impl Space {
     /// ACEScg (AP1).
     pub const ACESCG: Self = Self { primaries: [[0.713, 0.293], [0.165, 0.830], [0.128, 0.044]], white: ACES_WHITE };
 
+    /// The spaces that pictures are written in, by the names that options take.
+    pub const NAMED: [(&'static str, Self); 3] =
+        [("rec709", Self::REC709), ("rec2020", Self::REC2020), ("acescg", Self::ACESCG)];
+
+    /// The space called `name` in [`Self::NAMED`].
+    pub fn named(name: &str) -> Option<Self> {
+        Self::NAMED.iter().find(|s| s.0 == name).map(|s| s.1)
+    }
+
     /// The space of OpenEXR `chromaticities`, if they span one.
     pub fn from_chromaticities(c: [[f32; 2]; 4]) -> Option<Self> {
         let [r, g, b, white] = c.map(|v| v.map(f64::from));
@@ -203,4 +212,95 @@ pub fn inverse(m: &Matrix) -> Option<Matrix> {
         return None;
     }
     Some(std::array::from_fn(|i| std::array::from_fn(|j| minor(j, i) / determinant)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(got: &[f64], expected: &[f64], tolerance: f64) {
+        for (g, e) in got.iter().zip(expected) {
+            assert!((g - e).abs() < tolerance, "{got:?} instead of {expected:?}");
+        }
+    }
+
+    #[test]
+    fn matrices_agree_with_the_standards() {
+        // BT.709 luminance; IEC 61966-2-1 prints four digits of the matrix.
+        near(&Space::REC709.luminance_weights(), &[0.2126, 0.7152, 0.0722], 5e-5);
+        let srgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
+        near(Space::REC709.rgb_to_xyz().as_flattened(), srgb.as_flattened(), 6e-5);
+        // BT.2020 §4: Y' = 0.2627 R' + 0.6780 G' + 0.0593 B'.
+        near(&Space::REC2020.luminance_weights(), &[0.2627, 0.6780, 0.0593], 5e-5);
+        // ACES, S-2014-004: AP1 to XYZ.
+        let ap1 = [
+            [0.662_454_181_1, 0.134_004_206_5, 0.156_187_687_0],
+            [0.272_228_716_8, 0.674_081_765_8, 0.053_689_517_4],
+            [-0.005_574_649_5, 0.004_060_733_5, 1.010_339_100_3],
+        ];
+        near(Space::ACESCG.rgb_to_xyz().as_flattened(), ap1.as_flattened(), 1e-9);
+        // BT.2087: Rec. 709 to Rec. 2020.
+        let to2020 = [[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]];
+        near(Space::REC709.to(&Space::REC2020).as_flattened(), to2020.as_flattened(), 6e-5);
+    }
+
+    #[test]
+    fn white_stays_white_between_spaces_and_conversions_go_round() {
+        for a in [Space::REC709, Space::REC2020, Space::ACESCG] {
+            for b in [Space::REC709, Space::REC2020, Space::ACESCG] {
+                near(&product_vec(&a.to(&b), [1.0; 3]), &[1.0; 3], 1e-12);
+                let v = [0.2, 0.7, -0.1];
+                near(&product_vec(&b.to(&a), product_vec(&a.to(&b), v)), &v, 1e-12);
+            }
+            assert_eq!(
+                Space::from_chromaticities(a.chromaticities()).map(|s| s.chromaticities()),
+                Some(a.chromaticities())
+            );
+        }
+        let white = xy_to_xyz(D65);
+        for xyz in [[0.3, 0.4, 0.2], [0.001, 0.002, 0.003], white] {
+            near(&lab_to_xyz(xyz_to_lab(xyz, white), white), &xyz, 1e-12);
+            near(&lms_to_xyz(xyz_to_lms(xyz)), &xyz, 1e-12);
+            near(&uv_to_xyz(xyz[1], xyz_to_uv(xyz, white)), &xyz, 1e-12);
+        }
+    }
+
+    #[test]
+    fn known_colours() {
+        let white = product_vec(&Space::REC709.rgb_to_xyz(), [1.0; 3]);
+        near(&xyz_to_lab(white, white), &[100.0, 0.0, 0.0], 1e-9);
+        near(&xyz_to_lab([0.0; 3], white), &[0.0; 3], 1e-9);
+        // Red of sRGB in CIELAB under D65, as every colour calculator has it.
+        let red = product_vec(&Space::REC709.rgb_to_xyz(), [1.0, 0.0, 0.0]);
+        near(&xyz_to_lab(red, white), &[53.24, 80.09, 67.20], 0.02);
+        // u′v′ of D65: 0.1978, 0.4683.
+        near(&xyz_to_uv(white, white), &[0.1978, 0.4683], 5e-5);
+        near(&xyz_to_uv([0.0; 3], white), &[0.1978, 0.4683], 5e-5);
+        // Hunt–Pointer–Estevez cones are equal for equal energy.
+        near(&xyz_to_lms([1.0; 3]), &[1.0; 3], 1.1e-5);
+        // Bradford from D65 to D50, as Lindbloom tabulates it.
+        let d65_to_d50 = adaptation([0.95047, 1.0, 1.08883], [0.96422, 1.0, 0.82521]);
+        let printed = [
+            [1.047_811_2, 0.022_886_6, -0.050_127_0],
+            [0.029_542_4, 0.990_484_4, -0.017_049_1],
+            [-0.009_234_5, 0.015_043_6, 0.752_131_6],
+        ];
+        near(d65_to_d50.as_flattened(), printed.as_flattened(), 1e-4);
+    }
+
+    #[test]
+    fn the_srgb_curve_is_continuous_and_goes_round() {
+        for i in -20..=1020 {
+            let v = i as f32 / 1000.0;
+            assert!((linear_to_srgb(srgb_to_linear(v)) - v).abs() < 1e-5, "{v}");
+        }
+        assert!((srgb_to_linear(0.5) - 0.214_041_14).abs() < 1e-6);
+    }
+
+    #[test]
+    fn primaries_on_a_line_are_no_space() {
+        assert_eq!(Space::from_chromaticities([[0.1, 0.1], [0.2, 0.2], [0.3, 0.3], [0.33, 0.33]]), None);
+        assert_eq!(Space::from_chromaticities([[0.6, 0.3], [0.3, 0.6], [0.1, 0.1], [0.33, 0.0]]), None);
+        assert_eq!(Space::from_chromaticities([[f32::NAN; 2]; 4]), None);
+    }
 }

@@ -1,5 +1,6 @@
 //! Linear light with the facts of the shot.
 
+use crate::{colour::Space, linear};
 use image::Rgb32FImage;
 
 /// What a file says about its picture. Everything is optional; nothing is guessed.
@@ -47,6 +48,16 @@ pub struct Picture {
 }
 
 impl Picture {
+    /// The same light in the primaries of `space`, whites adapted by Bradford; the metadata tells the primaries.
+    pub fn into_space(mut self, space: &Space) -> Self {
+        let own = self.metadata.chromaticities.and_then(Space::from_chromaticities).unwrap_or(Space::REC709);
+        if linear::differs(&own, space) {
+            linear::multiply(&mut self.pixels, &own.to(space));
+        }
+        self.metadata.chromaticities = linear::differs(space, &Space::REC709).then(|| space.chromaticities());
+        self
+    }
+
     /// A picture without metadata.
     pub fn new(pixels: Rgb32FImage) -> Self {
         Self { pixels, alpha: None, metadata: Metadata::default() }
