@@ -1,6 +1,6 @@
 //! Ray throughput on one thread, ours beside Embree on the same meshes and rays, in the same run.
 //!
-//! `cargo run --release -p translume-bench-trace --features embree` prints the table and writes
+//! `cargo run --release -p bench-trace --features embree` prints the table and writes
 //! `benches/results/trace-throughput.{csv,md}`. Without the feature, the Embree columns are empty. Scanned meshes are
 //! taken from `$TRANSLUME_DATA/meshes`; without the variable only the procedural one is measured.
 //!
