@@ -10,8 +10,8 @@ use crate::{Error, Metadata, Result, Samples, limits, orient::Orientation};
 use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
 use exr::math::Vec2;
 use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
-use exr::meta::header::Header;
-use std::io::{BufRead, Seek};
+use exr::meta::{MetaData, header::Header};
+use std::io::{BufRead, Seek, SeekFrom};
 use std::path::Path;
 
 /// A channel as stored.
@@ -48,8 +48,8 @@ pub struct ExrPart {
 /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] (deep data).
 pub fn read_exr_parts(path: &Path) -> Result<Vec<ExrPart>> {
     let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
-    let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
-    Ok(reader.headers().iter().map(describe).collect())
+    let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| failed(path, e))?;
+    Ok(meta.headers.iter().map(describe).collect())
 }
 
 /// The channels of one part.
@@ -97,11 +97,16 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     Ok(ExrPlanes { width, height, planes })
 }
 
-pub(crate) fn read<R: BufRead + Seek>(file: R, file_bytes: u64, path: &Path) -> Result<Raster> {
-    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
-    for header in reader.headers() {
+pub(crate) fn read<R: BufRead + Seek>(mut file: R, file_bytes: u64, path: &Path) -> Result<Raster> {
+    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(path, e))?;
+    for header in &meta.headers {
         refuse_deep(path, header)?;
     }
+    match meta.headers.as_slice() {
+        [header] if exr_chroma::is_subsampled(header) => return exr_chroma::read(file, header, file_bytes, path),
+        _ => file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?,
+    };
+    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
     let (part, roles) = choose(reader.headers(), path)?;
     let header = reader.headers()[part].clone();
     let frame = Frame::new(&header, roles.slots(), file_bytes, path)?;
@@ -118,7 +123,7 @@ pub(crate) fn read<R: BufRead + Seek>(file: R, file_bytes: u64, path: &Path) -> 
         });
     })?;
     let metadata = metadata(&header);
-    if let Roles { luma_chroma: true, .. } = roles {
+    if roles.luma_chroma {
         exr_chroma::to_rgb(&mut samples, frame.slots, metadata.chromaticities);
     }
     Ok(raster(&frame, samples, metadata))
@@ -262,7 +267,7 @@ fn read_lines<R: BufRead + Seek>(
     let chunks = reader
         .filter_chunks(false, |_, tile, block| block.layer == part && tile.level_index == Vec2(0, 0))
         .map_err(|e| failed(path, e))?;
-    let mut insert = |meta: &exr::meta::MetaData, block: UncompressedBlock| {
+    let mut insert = |meta: &MetaData, block: UncompressedBlock| {
         block.lines(&meta.headers[part].channels).for_each(&mut take);
         Ok(())
     };
