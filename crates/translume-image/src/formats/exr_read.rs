@@ -8,6 +8,7 @@ use super::exr_chroma;
 use crate::raster::{Raster, Transfer};
 use crate::{Error, Metadata, Result, Samples, limits, orient::Orientation};
 use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
+use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
 use exr::meta::{MetaData, header::Header};
@@ -77,14 +78,8 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     refuse_deep(path, &header)?;
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
     let channels = &header.channels.list;
-    let count = limits::samples(
-        path,
-        (width as u64, height as u64),
-        channels.len() as u64,
-        2,
-        file_bytes,
-        limits::MAX_RATIO_EXR,
-    )?;
+    reader.headers().iter().try_for_each(|h| check_stored(h, file_bytes, path))?;
+    let count = width * height * channels.len();
     let mut planes = limits::buffer::<f32>(path, count)?;
     read_lines(reader, part, path, |line| {
         let Vec2(x, y) = line.location.position;
@@ -101,6 +96,8 @@ pub(crate) fn read<R: BufRead + Seek>(mut file: R, file_bytes: u64, path: &Path)
     let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(path, e))?;
     for header in &meta.headers {
         refuse_deep(path, header)?;
+        // Those that are not read too: their offset tables are.
+        check_stored(header, file_bytes, path)?;
     }
     match meta.headers.as_slice() {
         [header] if exr_chroma::is_subsampled(header) => return exr_chroma::read(file, header, file_bytes, path),
@@ -154,10 +151,9 @@ impl Frame {
         let display = header.shared_attributes.display_window;
         let data = header.data_window();
         let size = (display.size.x() as u64, display.size.y() as u64);
-        // Each window is judged by itself: either may be the bomb.
-        limits::samples(path, size, slots as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
-        let stored = (data.size.x() as u64, data.size.y() as u64);
-        limits::samples(path, stored, header.channels.list.len() as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
+        // A crop stores little of a large picture: 8K is always allowed. More must be backed by the file.
+        let backed = if size.0.saturating_mul(size.1) <= 1 << 25 { u64::MAX } else { file_bytes };
+        limits::samples(path, size, slots as u64, 16 * slots as u64, backed, limits::MAX_RATIO)?;
         let offset = (
             i64::from(data.position.x()) - i64::from(display.position.x()),
             i64::from(data.position.y()) - i64::from(display.position.y()),
@@ -272,6 +268,19 @@ fn read_lines<R: BufRead + Seek>(
         Ok(())
     };
     chunks.decompress_parallel(false, &mut insert).map_err(|e| failed(path, e))
+}
+
+/// Whether the file can hold the pixels that a part says are stored.
+fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
+    let size = (header.layer_size.x() as u64, header.layer_size.y() as u64);
+    let channels = header.channels.list.len() as u64;
+    let max_ratio = match header.compression {
+        // Flat blocks are packed twice: by the cosine transform and by DEFLATE.
+        Compression::DWAA(_) | Compression::DWAB(_) => 64 * limits::MAX_RATIO,
+        _ => limits::MAX_RATIO,
+    };
+    limits::samples(path, size, channels, 8 * header.channels.bytes_per_pixel as u64, file_bytes, max_ratio)?;
+    Ok(())
 }
 
 fn refuse_deep(path: &Path, header: &Header) -> Result<()> {

@@ -13,15 +13,16 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let header = decoder.read_header_info().map_err(invalid)?;
     let size = (u64::from(header.width), u64::from(header.height));
     let file_bytes = file.len() as u64;
-    limits::samples(path, size, 1, 1, file_bytes, 8 * limits::MAX_RATIO)?; // down to one bit a pixel
+    let bits = (header.color_type.samples() * header.bit_depth as usize) as u64;
+    limits::samples(path, size, 1, bits, file_bytes, limits::MAX_RATIO)?;
     // The pixels are counted here; this limit is for what the decoder holds beside them (profiles, rows).
     decoder.set_limits(png::Limits { bytes: 64 << 20 });
     let mut reader = decoder.read_info().map_err(invalid)?;
     let (colour, depth) = reader.output_color_type();
     let channels = colour.samples();
     let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
-    // A palette of one bit a pixel grows to RGBA: 32 bytes out per packed byte.
-    let count = limits::samples(path, size, channels as u64, bytes, file_bytes, 32 * limits::MAX_RATIO)?;
+    // Palettes and gray of a few bits grow here; what the file must hold was checked above.
+    let count = limits::samples(path, size, channels as u64, bits, file_bytes, limits::MAX_RATIO)?;
 
     let samples = if bytes == 2 {
         let mut big_endian = limits::buffer::<u8>(path, count * 2)?;

@@ -11,7 +11,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let header = header(file).ok_or_else(|| Error::invalid(path, "damaged Radiance header"))?;
     // A run packs at most 127 bytes into 2.
     let size = (header.columns as u64, header.rows as u64);
-    let count = limits::samples(path, size, 3, 4, file.len() as u64, 4 * 64)?;
+    let count = limits::samples(path, size, 3, 32, file.len() as u64, limits::MAX_RATIO)?;
     let mut samples = limits::buffer::<f32>(path, count)?;
     let mut rest = header.pixels;
     let mut line = vec![[0u8; 4]; header.columns];
