@@ -57,20 +57,23 @@ struct Edge<'a> {
     ships: bool,
 }
 
-/// Checks the workspace.
+/// Checks the workspace, and that ARCHITECTURE.md has a place for each of its crates.
 ///
 /// # Errors
-/// Every wrong edge, one a line.
+/// Every wrong edge and every crate that is left out, one a line.
 pub(crate) fn check() -> Result<(), String> {
     let metadata = crate::metadata(&["--no-deps"])?;
     let edges = edges(&metadata);
-    let wrong: Vec<_> = edges.iter().filter_map(objection).collect();
+    let mut wrong: Vec<_> = edges.iter().filter_map(objection).collect();
+    let map = std::path::Path::new(metadata["workspace_root"].as_str().unwrap_or(".")).join("ARCHITECTURE.md");
+    let map = std::fs::read_to_string(&map).map_err(|e| format!("{}: {e}", map.display()))?;
+    wrong.extend(left_out(&metadata, &map));
     if wrong.is_empty() {
         let inner = edges.iter().filter(|e| is_ours(e.to)).count();
         println!("layers: {inner} dependencies between crates of the workspace, all downwards");
         Ok(())
     } else {
-        Err(format!("wrong dependencies (see ARCHITECTURE.md):\n  {}", wrong.join("\n  ")))
+        Err(format!("the layers of ARCHITECTURE.md do not hold:\n  {}", wrong.join("\n  ")))
     }
 }
 
@@ -84,6 +87,16 @@ fn edges(metadata: &Value) -> Vec<Edge<'_>> {
         }
     }
     edges
+}
+
+/// A complaint for every crate that the table in `map` has no row for.
+fn left_out(metadata: &Value, map: &str) -> Vec<String> {
+    let packages = metadata["packages"].as_array().into_iter().flatten();
+    let names = packages.filter_map(|p| p["name"].as_str());
+    names
+        .filter(|name| !map.contains(&format!("\n| `{name}` |")))
+        .map(|name| format!("{name} has no row in the table of crates"))
+        .collect()
 }
 
 fn is_ours(name: &str) -> bool {
@@ -145,6 +158,13 @@ mod tests {
         assert!(!refused("translume-bxdf", "glam"));
         let in_tests = Edge { from: "translume-bxdf", to: "tempfile", ships: false };
         assert!(objection(&in_tests).is_none());
+    }
+
+    #[test]
+    fn a_crate_without_a_row_is_named() {
+        let metadata = serde_json::json!({"packages": [{"name": "translume-core"}, {"name": "translume"}]});
+        let complaints = left_out(&metadata, "\n| `translume-core` | random numbers |\n");
+        assert_eq!(complaints, ["translume has no row in the table of crates"]);
     }
 
     #[test]

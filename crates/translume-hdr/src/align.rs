@@ -85,15 +85,8 @@ fn common_range(a: &Shot<'_>, b: &Shot<'_>, c: usize) -> (f32, f32) {
     let (ta, tb) = (a.log_secs, b.log_secs);
     let hi = (ra.1 - ta).min(rb.1 - tb);
     // Both unclipped floats: the brighter end is set by the largest value there is.
-    let hi = if hi.is_finite() { hi } else { (largest(a) - ta).max(largest(b) - tb) };
+    let hi = if hi.is_finite() { hi } else { (a.decoder.full_range(c) - ta).max(b.decoder.full_range(c) - tb) };
     ((ra.0 - ta).max(rb.0 - tb), hi)
-}
-
-fn largest(s: &Shot<'_>) -> f32 {
-    match &s.decoder {
-        crate::decode::Decoder::Float { full, .. } => full.ln(),
-        crate::decode::Decoder::Curve { .. } => s.decoder.useful_range(0).1,
-    }
 }
 
 /// The grey picture of `shot` clamped to what it shares with `partner`.
@@ -196,7 +189,7 @@ fn global_motion(a: &[Plane], b: &[Plane], name: &str) -> (Affine, f64, f64, Opt
     }
     if moved >= MUST_IMPROVE * unmoved {
         let note = format!("{name}: the best global motion ({most:.1} px) does not improve the match; left as it is");
-        return (IDENTITY, unmoved, unmoved, (most > 1.0).then_some(note));
+        return (IDENTITY, unmoved, unmoved, (most > 1.0 && unmoved > 0.15).then_some(note));
     }
     (m, unmoved, moved, None)
 }

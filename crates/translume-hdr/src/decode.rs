@@ -8,16 +8,24 @@ pub(crate) const CLIPPED: f32 = 0.985;
 /// A code at or below this is lost in black.
 pub(crate) const BLACK: f32 = 0.012;
 
+/// Bins of the noise table over the encoded range.
+pub(crate) const NOISE_BINS: usize = 16;
+
 /// How the values of one picture become log exposure.
 #[derive(Clone, Debug)]
-pub(crate) enum Decoder {
+pub(crate) struct Decoder {
+    /// What the values are.
+    pub(crate) kind: Kind,
+    /// Uncertainty of an encoded value (rounding, compression, noise) at the middle of each bin, about two standard
+    /// deviations.
+    pub(crate) blur: [f32; NOISE_BINS],
+}
+
+/// What the values of a picture are.
+#[derive(Clone, Debug)]
+pub(crate) enum Kind {
     /// Codes in [0, 1] through a response curve.
-    Curve {
-        /// The curve.
-        response: Response,
-        /// Uncertainty of a code, in the same unit: rounding, compression and noise.
-        blur: f32,
-    },
+    Curve(Response),
     /// Values proportional to exposure, clipped at `clip` (infinite if they are not).
     Float {
         /// The value at which the picture is clipped.
@@ -27,104 +35,105 @@ pub(crate) enum Decoder {
     },
 }
 
-/// Float values are trusted to this share, and in absolute terms to `FLOAT_FLOOR` of full range.
-const FLOAT_RELATIVE: f32 = 0.02;
+/// Float values below this share of full range are black.
 const FLOAT_FLOOR: f32 = 2e-4;
+/// Further uncertainty of codes above 0.9, downwards, per unit of code.
+const SHOULDER: f32 = 0.8;
+/// Exponent of the display-like scale of float values.
+const GAMMA: f32 = 2.2;
 
 impl Decoder {
     /// ln of exposure.
     #[inline]
     pub(crate) fn log_exposure(&self, channel: usize, u: f32) -> f32 {
-        match self {
-            Self::Curve { response, .. } => response.log_exposure(channel, u),
-            Self::Float { full, .. } => u.max(full * 1e-6).ln(),
+        match &self.kind {
+            Kind::Curve(response) => response.log_exposure(channel, u),
+            Kind::Float { full, .. } => u.max(full * 1e-6).ln(),
         }
     }
 
-    /// The code on a display-like scale in [0, 1], for weights.
+    /// The value on a display-like scale in [0, 1].
     #[inline]
     pub(crate) fn encoded(&self, u: f32) -> f32 {
-        match self {
-            Self::Curve { .. } => u,
-            Self::Float { full, .. } => (u / full).clamp(0.0, 1.0).powf(1.0 / 2.2),
+        match self.kind {
+            Kind::Curve(_) => u,
+            Kind::Float { full, .. } => (u / full).clamp(0.0, 1.0).powf(1.0 / GAMMA),
         }
     }
 
     /// Whether the value is a lower bound only.
     #[inline]
     pub(crate) fn is_clipped(&self, u: f32) -> bool {
-        match self {
-            Self::Curve { .. } => u >= CLIPPED,
-            Self::Float { clip, .. } => u >= clip * 0.999,
+        match self.kind {
+            Kind::Curve(_) => u >= CLIPPED,
+            Kind::Float { clip, .. } => u >= clip * 0.999,
         }
     }
 
     /// Whether the value is an upper bound only.
     #[inline]
     pub(crate) fn is_black(&self, u: f32) -> bool {
-        match self {
-            Self::Curve { .. } => u <= BLACK,
-            Self::Float { full, .. } => u <= full * FLOAT_FLOOR,
+        match self.kind {
+            Kind::Curve(_) => u <= BLACK,
+            Kind::Float { full, .. } => u <= full * FLOAT_FLOOR,
         }
     }
 
     /// The interval of log exposure that values from `low` to `high` stand for; infinite where clipped or black.
     #[inline]
     pub(crate) fn interval(&self, channel: usize, low: f32, high: f32) -> (f32, f32) {
-        match self {
-            Self::Curve { response, blur } => {
-                let lo = if low - blur <= BLACK {
-                    f32::NEG_INFINITY
-                } else {
-                    response.log_exposure(channel, low.min(CLIPPED) - blur)
-                };
-                let hi = if high >= CLIPPED - blur {
-                    f32::INFINITY
-                } else {
-                    response.log_exposure(channel, high.max(BLACK) + blur)
-                };
+        match &self.kind {
+            Kind::Curve(response) => {
+                // Cameras compress highlights near the end of the range by more than any one curve.
+                let shoulder = SHOULDER * (low - 0.9).max(0.0);
+                let (low, high) = (low.min(CLIPPED) - self.blur_at(low) - shoulder, high + self.blur_at(high));
+                let lo = if low <= BLACK { f32::NEG_INFINITY } else { response.log_exposure(channel, low) };
+                let hi = if high >= CLIPPED { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
                 (lo, hi)
             }
-            Self::Float { clip, full } => {
-                let floor = full * FLOAT_FLOOR;
-                let lo = if low <= 2.0 * floor {
-                    f32::NEG_INFINITY
-                } else {
-                    (low * (1.0 - FLOAT_RELATIVE) - floor).max(floor).ln()
-                };
-                let hi =
-                    if high >= clip * 0.999 { f32::INFINITY } else { (high * (1.0 + FLOAT_RELATIVE) + floor).ln() };
+            Kind::Float { clip, full } => {
+                let (low, high) = (self.encoded(low), self.encoded(high));
+                let (low, top) = (low - self.blur_at(low), high + self.blur_at(high));
+                let value = |e: f32| full.ln() + GAMMA * e.ln();
+                let black = FLOAT_FLOOR.powf(1.0 / GAMMA);
+                let lo = if low <= black { f32::NEG_INFINITY } else { value(low) };
+                let hi = if clip.is_finite() && top >= 0.999 { f32::INFINITY } else { value(top.max(black)) };
                 (lo, hi)
             }
         }
     }
 
-    /// Log exposures between which the picture tells scene points apart.
+    /// The uncertainty of an encoded value.
+    #[inline]
+    fn blur_at(&self, e: f32) -> f32 {
+        self.blur[((e * NOISE_BINS as f32) as usize).min(NOISE_BINS - 1)]
+    }
+
+    /// Log exposures between which the picture tells scene points apart; infinite at the top of an unclipped picture.
     pub(crate) fn useful_range(&self, channel: usize) -> (f32, f32) {
-        match self {
-            Self::Curve { response, .. } => {
-                (response.log_exposure(channel, 0.03), response.log_exposure(channel, 0.965))
-            }
-            Self::Float { clip, full } => {
+        match &self.kind {
+            Kind::Curve(response) => (response.log_exposure(channel, 0.03), response.log_exposure(channel, 0.965)),
+            Kind::Float { clip, full } => {
                 ((full * 4e-3).ln(), if clip.is_finite() { (clip * 0.97).ln() } else { f32::INFINITY })
             }
         }
     }
 
-    /// The thesis' weight of a value.
-    #[inline]
-    pub(crate) fn spline_weight(&self, u: f32) -> f32 {
-        match self {
-            Self::Curve { .. } => spline(u),
-            Self::Float { .. } => {
-                // An unclipped float picture has no bad end at the top.
-                let e = self.encoded(u);
-                if e > 0.5 && !self.can_clip() { 1.0 } else { spline(e) }
-            }
+    /// Log exposure of full range.
+    pub(crate) fn full_range(&self, channel: usize) -> f32 {
+        match &self.kind {
+            Kind::Curve(response) => response.log_exposure(channel, 1.0),
+            Kind::Float { full, .. } => full.ln(),
         }
     }
 
-    fn can_clip(&self) -> bool {
-        matches!(self, Self::Curve { .. }) || matches!(self, Self::Float { clip, .. } if clip.is_finite())
+    /// The thesis' weight of a value; an unclipped float picture has no bad end at the top.
+    #[inline]
+    pub(crate) fn spline_weight(&self, u: f32) -> f32 {
+        let e = self.encoded(u);
+        match self.kind {
+            Kind::Float { clip, .. } if clip.is_infinite() && e > 0.5 => 1.0,
+            _ => spline(e),
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! One picture of a bracket: its codes, its relative exposure and the part of it that is picture.
 
-use crate::decode::Decoder;
+use crate::decode::{Decoder, Kind, NOISE_BINS};
 use crate::{Error, Response, Result};
 use translume_image::{Codes, Samples};
 
@@ -52,15 +52,15 @@ impl Shot<'_> {
 
     /// The response, of sources that have one.
     pub(crate) fn response(&self) -> Option<&Response> {
-        match &self.decoder {
-            Decoder::Curve { response, .. } => Some(response),
-            Decoder::Float { .. } => None,
+        match &self.decoder.kind {
+            Kind::Curve(response) => Some(response),
+            Kind::Float { .. } => None,
         }
     }
 
     /// Sets the response, for sources that have one.
     pub(crate) fn set_response(&mut self, response: &Response) {
-        if let Decoder::Curve { response: r, .. } = &mut self.decoder {
+        if let Kind::Curve(r) = &mut self.decoder.kind {
             r.clone_from(response);
         }
     }
@@ -119,17 +119,48 @@ pub fn check(exposures: &[Exposure]) -> Result<()> {
 
 /// The decoder of a picture before its response is known.
 pub(crate) fn decoder_of(codes: &Codes, response: &Response) -> Decoder {
-    match &codes.samples {
-        Samples::U8(_) => Decoder::Curve { response: response.clone(), blur: 2.0 / 255.0 },
-        Samples::U16(_) => Decoder::Curve { response: response.clone(), blur: 0.8 / 255.0 },
+    let kind = match &codes.samples {
+        Samples::U8(_) | Samples::U16(_) => Kind::Curve(response.clone()),
         Samples::F32(v) => {
             let most = v.iter().copied().fold(0.0f32, f32::max);
             // Clipped pictures pile up at their largest value; a highlight that is the largest by chance does not.
             let at_most = v.iter().filter(|x| **x >= most * 0.9999).count();
             let clip = if at_most > 16.max(v.len() / 20_000) { most } else { f32::INFINITY };
-            Decoder::Float { clip, full: most.max(f32::MIN_POSITIVE) }
+            Kind::Float { clip, full: most.max(f32::MIN_POSITIVE) }
         }
+    };
+    let mut decoder = Decoder { kind, blur: [0.0; NOISE_BINS] };
+    decoder.blur = blur(codes, &decoder);
+    decoder
+}
+
+/// Two standard deviations of the green noise per bin of the encoded range, and a rounding step.
+///
+/// The median difference of neighbours is noise as long as half of a bin's pixels lie on nothing finer than that; a bin
+/// without enough pixels takes the value of the bin below.
+fn blur(codes: &Codes, decoder: &Decoder) -> [f32; NOISE_BINS] {
+    let step = match codes.samples {
+        Samples::U8(_) => 1.0 / 255.0,
+        Samples::U16(_) | Samples::F32(_) => 0.25 / 255.0,
+    };
+    let mut differences: Vec<Vec<f32>> = vec![Vec::new(); NOISE_BINS];
+    let pixels = codes.width * codes.height;
+    let stride = (pixels / 100_000).max(1);
+    for i in (0..pixels).step_by(stride).filter(|i| i % codes.width + 1 < codes.width) {
+        let (a, b) = (decoder.encoded(codes.unit(3 * i + 1)), decoder.encoded(codes.unit(3 * i + 4)));
+        let bin = ((0.5 * (a + b) * NOISE_BINS as f32) as usize).min(NOISE_BINS - 1);
+        differences[bin].push((a - b).abs());
     }
+    let mut last = 2.0 / 255.0;
+    std::array::from_fn(|k| {
+        let d = &mut differences[k];
+        if d.len() >= 50 {
+            let mid = d.len() / 2;
+            let median = *d.select_nth_unstable_by(mid, f32::total_cmp).1;
+            last = (2.0 * median / (0.6745 * std::f32::consts::SQRT_2)).min(0.03);
+        }
+        last + step
+    })
 }
 
 /// Border of one exact colour, as registered scans have it, that reaches in from the sides: `true` where border.

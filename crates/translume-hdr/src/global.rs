@@ -269,7 +269,7 @@ mod tests {
         let mut v = 0.5;
         for _ in 0..24 {
             let (fx, fy) = (rng.next_f32() * 0.5 - 0.25, rng.next_f32() * 0.5 - 0.25);
-            v += 0.05 * (fx * x + fy * y + 6.28 * rng.next_f32()).sin();
+            v += 0.05 * (fx * x + fy * y + std::f32::consts::TAU * rng.next_f32()).sin();
         }
         v
     }

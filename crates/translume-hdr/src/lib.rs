@@ -10,6 +10,7 @@ mod align;
 mod decode;
 mod exposure;
 mod field;
+mod fill;
 mod ghost;
 mod global;
 mod local;
@@ -17,6 +18,7 @@ mod merge;
 mod plane;
 mod response;
 mod sampling;
+mod sets;
 mod warp;
 mod weight;
 
@@ -25,14 +27,14 @@ pub use exposure::{Exposure, check};
 pub use field::{Affine, Field, Grid};
 pub use ghost::GhostParams;
 pub use merge::Weights;
-use response::solve_channel;
 pub use response::{NODES, Response};
+pub use sets::{Grouping, group, parse_list, parse_seconds};
 pub use weight::{Noise, spline};
 
 use exposure::Shot;
 use rayon::prelude::*;
 use std::time::Instant;
-use translume_image::{Rgb32FImage, Samples};
+use translume_image::Rgb32FImage;
 
 /// What can go wrong with a bracket.
 #[derive(Debug, thiserror::Error)]
@@ -136,10 +138,11 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
         }
         None => highest_entropy(&shots),
     };
+    let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
     let solve = params.response.is_none() && !params.linear && !exposures[0].codes.is_linear();
     if solve {
         let samples = std::array::from_fn(|c| sampling::quantile_samples(&shots, c));
-        set_all(&mut shots, &solve_response(&samples, exposures, None)?);
+        set_all(&mut shots, &response::solve(&samples, &log_secs, None)?);
     }
     clock.lap("prepare");
 
@@ -155,16 +158,20 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
             std::array::from_fn(|c| sampling::comparagram_samples(&shots, &points, &order, c));
         // Too few flat points (a tiny picture): the histogram's curve stands.
         let preliminary = shots[anchor].response().cloned();
-        if let Ok(r) = solve_response(&samples, exposures, preliminary.as_ref()) {
+        if let Ok(r) = response::solve(&samples, &log_secs, preliminary.as_ref()) {
             set_all(&mut shots, &r);
         }
     }
-    warnings.extend(check_ratios(&shots, &points, &order));
+    warnings.extend(check_order(&shots, &points, &order));
+    let corrections = balance(&mut shots, &points, &order, anchor);
+    warnings.extend(corrections.iter().zip(&shots).filter(|(ev, _)| ev.abs() > 0.25).map(|(ev, s)| {
+        format!("{}: its pixels say {ev:+.2} EV against the exposure given; merged as the pixels say", s.name)
+    }));
     clock.lap("response");
 
     progress("ghosts");
     let confidences = match &params.ghosts {
-        Some(g) => ghost::confidences(&shots, &aligned, &order, anchor, g),
+        Some(g) => ghost::confidences(&shots, &aligned, &points, &order, anchor, g),
         None => vec![None; shots.len()],
     };
     clock.lap("ghosts");
@@ -180,7 +187,9 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
         longest,
         weights: params.weights,
     };
-    let (mut values, bounds) = merge::merge(&job);
+    let (mut values, trust) = merge::merge(&job);
+    fill::fill(&mut values, &trust, shots[anchor].width());
+    let bounds = trust.iter().map(|t| *t != merge::Trust::Measured).collect();
     let mid = if exposures[0].codes.is_linear() { 1.0 } else { MID };
     let scale = f64::from(shots[anchor].log_secs) + mid.ln();
     values.par_iter_mut().for_each(|v| *v = (*v + scale as f32).exp());
@@ -223,20 +232,6 @@ impl Clock {
     }
 }
 
-fn solve_response(
-    samples: &[Vec<response::Sample>; 3],
-    exposures: &[Exposure],
-    start: Option<&Response>,
-) -> Result<Response> {
-    let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
-    let curves: Vec<Vec<f32>> = (0..3usize)
-        .into_par_iter()
-        .map(|c| solve_channel(&samples[c], &log_secs, start.map(|r| &r.log_exposure[c][..])))
-        .collect::<Result<_>>()?;
-    let [r, g, b] = <[Vec<f32>; 3]>::try_from(curves).map_err(|_| Error::Response("no three channels".into()))?;
-    Ok(Response { log_exposure: [r, g, b] })
-}
-
 /// The picture whose histogram of green codes has the highest entropy [Menzel ch. 5 §1]; of equals the first.
 fn highest_entropy(shots: &[Shot<'_>]) -> usize {
     let entropies: Vec<f64> = shots
@@ -259,47 +254,55 @@ fn highest_entropy(shots: &[Shot<'_>]) -> usize {
     (0..shots.len()).fold(0, |best, i| if entropies[i] > entropies[best] + 1e-9 { i } else { best })
 }
 
-/// Whether each picture is as bright as its exposure says, judged by its neighbour in exposure on common points.
-fn check_ratios(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize]) -> Vec<String> {
-    let mut warnings = Vec::new();
-    for pair in order.windows(2) {
+/// Green codes that both pictures of a pair record well, on common points.
+fn well_exposed(shots: &[Shot<'_>], points: &[sampling::Point], a: usize, b: usize) -> Vec<(f32, f32)> {
+    let good = |d: &decode::Decoder, u: f32| (0.1..0.9).contains(&d.encoded(u)) && !d.is_clipped(u);
+    let pair = |p: &sampling::Point| Some((p.codes[a]?[1], p.codes[b]?[1]));
+    points.iter().filter_map(pair).filter(|(u, v)| good(&shots[a].decoder, *u) && good(&shots[b].decoder, *v)).collect()
+}
+
+/// Fewest common points that say something about a pair.
+const FEWEST: usize = 20;
+
+/// Warns of pictures that are darker than shorter ones.
+fn check_order(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize]) -> Option<String> {
+    order.windows(2).find_map(|pair| {
         let (a, b) = (pair[0], pair[1]);
-        let mut differences: Vec<f32> = Vec::new();
-        let mut order_differences = 0i32;
-        for p in points {
-            let (Some(u), Some(v)) = (p.codes[a], p.codes[b]) else { continue };
-            let good = |d: &decode::Decoder, u: f32| (0.05..0.95).contains(&d.encoded(u)) && !d.is_clipped(u);
-            if good(&shots[a].decoder, u[1]) && good(&shots[b].decoder, v[1]) {
-                let l = |s: &Shot<'_>, u: f32| s.decoder.log_exposure(1, u) - s.log_secs;
-                differences.push(l(&shots[b], v[1]) - l(&shots[a], u[1]));
-                order_differences += if v[1] > u[1] { 1 } else { -1 };
-            }
-        }
-        if differences.len() < 20 {
+        let codes = well_exposed(shots, points, a, b);
+        let darker = codes.iter().filter(|(u, v)| v < u).count();
+        let wrong = codes.len() >= FEWEST && 2 * darker > codes.len() && shots[b].log_secs > shots[a].log_secs + 0.1;
+        wrong.then(|| {
+            format!(
+                "{} is darker than {}, but its exposure is longer: are the exposures in the order of the pictures? (--exposures, --list)",
+                shots[b].name, shots[a].name
+            )
+        })
+    })
+}
+
+/// Corrects each exposure by what common pixels say (shutters are off by a tenth of a stop and more); returns the
+/// corrections in EV.
+fn balance(shots: &mut [Shot<'_>], points: &[sampling::Point], order: &[usize], anchor: usize) -> Vec<f32> {
+    let mut corrections = vec![0.0f32; shots.len()];
+    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
+    let longer = order[at..].windows(2).map(|w| (w[0], w[1]));
+    let shorter = order[..=at].windows(2).rev().map(|w| (w[1], w[0]));
+    for (from, to) in longer.chain(shorter).collect::<Vec<_>>() {
+        let l = |i: usize, u: f32| shots[i].decoder.log_exposure(1, u) - shots[i].log_secs;
+        let mut differences: Vec<f32> =
+            well_exposed(shots, points, from, to).iter().map(|(u, v)| l(to, *v) - l(from, *u)).collect();
+        if differences.len() < FEWEST {
             continue;
         }
         let mid = differences.len() / 2;
-        let stops = *differences.select_nth_unstable_by(mid, f32::total_cmp).1 / std::f32::consts::LN_2;
-        let (na, nb) = (shots[a].name, shots[b].name);
-        if order_differences < 0 && shots[b].log_secs > shots[a].log_secs + 0.1 {
-            warnings.push(format!("{nb} is darker than {na}, but its exposure is longer: are the exposures in the order of the pictures? (--exposures, --list)"));
-        } else if stops.abs() > 0.2 {
-            warnings.push(format!("the pixels of {nb} against {na} say {stops:+.2} EV more than the exposures given; check them (--exposures, --list)"));
-        }
+        let median = *differences.select_nth_unstable_by(mid, f32::total_cmp).1;
+        shots[to].log_secs += median;
+        corrections[to] = median / std::f32::consts::LN_2;
     }
-    warnings
+    corrections
 }
 
 /// Share of pixels whose confidence is below one half, per picture.
 pub fn ghost_share(confidence: &[u8]) -> f64 {
     confidence.iter().filter(|c| **c < 128).count() as f64 / confidence.len().max(1) as f64
-}
-
-/// Number of samples of a picture in bytes, for memory estimates.
-pub fn samples_size(samples: &Samples) -> usize {
-    match samples {
-        Samples::U8(v) => v.len(),
-        Samples::U16(v) => 2 * v.len(),
-        Samples::F32(v) => 4 * v.len(),
-    }
 }

@@ -4,12 +4,16 @@
 //! The radiances are eliminated before solving, so the system has 256 unknowns whatever the number of samples. Codes
 //! may be fractional (16-bit files, interpolated pixels): a measurement then ties the two nodes beside it.
 //!
-//! Deviations from the paper: residuals are reweighted (Huber) a few times, so that samples on moving things do not
-//! bend the curve; the result is made monotone.
+//! Deviations from the paper. Smooth is not the curve itself but its difference from a base: for all channels together
+//! the sRGB curve, for one channel the common curve. Exposures a constant ratio apart leave any function free that
+//! repeats with that ratio; against a base the free part stays flat, where a smooth log curve would bend at its dark end
+//! or climb in stairs. Residuals are reweighted a few times, so that samples on moving things do not bend the curve; the
+//! result is made monotone.
 
 use crate::weight::spline;
 use crate::{Error, Result};
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Nodes of a curve, at codes 0, 1/255, …, 1.
@@ -68,17 +72,43 @@ impl Response {
     }
 }
 
-/// Weight of the curvature term beside a single measurement, per measurement and node.
-const SMOOTHNESS: f64 = 0.25;
+/// Weight of the curvature of the difference from the base, per measurement and node.
+const SMOOTHNESS: f64 = 20.0;
+/// Weight of the difference itself, per measurement and node, which carries the base to codes nobody has seen.
+const TO_BASE: f64 = 1e-5;
 /// Residual (ln units) beyond which a measurement counts less.
 const HUBER: f64 = 0.1;
 
-/// Solves one channel: `samples` as codes, `log_secs[picture]` the log of the relative exposures, `start` a curve that
-/// tells outliers before there is a better one.
+/// The sRGB curve as a base: ln of linear light over code, 0 at mid code.
+fn srgb_base() -> Vec<f64> {
+    let linear = |u: f64| if u <= 0.04045 { u / 12.92 } else { ((u + 0.055) / 1.055).powf(2.4) };
+    (0..NODES).map(|z| (linear((z as f64).max(0.25) / (NODES - 1) as f64) / linear(0.5)).ln()).collect()
+}
+
+/// The response of three channels: `samples[channel]` as codes, `log_secs[picture]` the log of the relative exposures,
+/// `start` a curve that tells outliers before there is a better one.
 ///
 /// # Errors
 /// [`Error::Response`] when too few samples are well exposed in two pictures.
-pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64], start: Option<&[f32]>) -> Result<Vec<f32>> {
+pub(crate) fn solve(samples: &[Vec<Sample>; 3], log_secs: &[f64], start: Option<&Response>) -> Result<Response> {
+    let all: Vec<&Sample> = samples.iter().flatten().collect();
+    let green = start.map(|r| &r.log_exposure[1][..]);
+    let common = solve_curve(&all, log_secs, green, &srgb_base())?;
+    let base: Vec<f64> = common.iter().map(|v| f64::from(*v)).collect();
+    let curves: Vec<Vec<f32>> = (0..3usize)
+        .into_par_iter()
+        .map(|c| {
+            let own: Vec<&Sample> = samples[c].iter().collect();
+            // A channel that says too little by itself (a red scene's blue) has the common curve.
+            solve_curve(&own, log_secs, Some(&common), &base).or_else(|_| Ok(common.clone()))
+        })
+        .collect::<Result<_>>()?;
+    let [r, g, b] = <[Vec<f32>; 3]>::try_from(curves).map_err(|_| Error::Response("no three channels".into()))?;
+    Ok(Response { log_exposure: [r, g, b] })
+}
+
+/// One curve near `base`.
+fn solve_curve(samples: &[&Sample], log_secs: &[f64], start: Option<&[f32]>, base: &[f64]) -> Result<Vec<f32>> {
     let useful = samples.iter().filter(|s| s.iter().flatten().filter(|u| spline(**u) > 0.05).count() >= 2).count();
     if useful < 8 {
         return Err(Error::Response(format!(
@@ -86,6 +116,7 @@ pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64], start: Option<
              pictures in between, or give --response"
         )));
     }
+    let base = DVector::from_row_slice(base);
     let mut g = start.map(|s| DVector::from_iterator(NODES, s.iter().map(|v| f64::from(*v))));
     for _ in 0..4 {
         let (mut h, mut rhs) = (DMatrix::<f64>::zeros(NODES, NODES), DVector::<f64>::zeros(NODES));
@@ -93,8 +124,10 @@ pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64], start: Option<
         for s in samples {
             measurements += add_sample(s, log_secs, g.as_ref(), &mut h, &mut rhs);
         }
+        // From here on the unknown is the difference from the base.
+        rhs -= &h * &base;
         add_smoothness(measurements, &mut h);
-        // g(mid) = 0 fixes the free constant; between two nodes, as 0.5 is.
+        // g(mid) = 0, as the base has it, fixes the free constant; mid is between two nodes.
         let pin = measurements.max(1.0);
         for (i, j) in [(127, 127), (127, 128), (128, 127), (128, 128)] {
             h[(i, j)] += 0.25 * pin;
@@ -102,9 +135,9 @@ pub(crate) fn solve_channel(samples: &[Sample], log_secs: &[f64], start: Option<
         let factor = h.cholesky().ok_or_else(|| {
             Error::Response("the exposures do not determine the curve; give --response or --linear".into())
         })?;
-        g = Some(factor.solve(&rhs));
+        g = Some(factor.solve(&rhs) + &base);
     }
-    Ok(monotone(g.unwrap_or_else(|| DVector::zeros(NODES)).as_slice()))
+    Ok(monotone(g.unwrap_or(base).as_slice()))
 }
 
 /// Adds one sample's normal equations with its radiance eliminated; returns the weight it brought.
@@ -159,7 +192,7 @@ fn add_sample(
     sum
 }
 
-/// Curvature penalty, weighted as the measurements are, with a floor that carries the curve to both ends.
+/// Penalties on the difference from the base; the curvature's is weighted as the measurements are, with a floor.
 fn add_smoothness(measurements: f64, h: &mut DMatrix<f64>) {
     let scale = SMOOTHNESS * measurements.max(1.0);
     for z in 1..NODES - 1 {
@@ -171,6 +204,9 @@ fn add_smoothness(measurements: f64, h: &mut DMatrix<f64>) {
                 h[(i, j)] += a * ci * cj;
             }
         }
+    }
+    for z in 0..NODES {
+        h[(z, z)] += TO_BASE * measurements.max(1.0);
     }
 }
 
@@ -240,10 +276,15 @@ mod tests {
         errors.iter().map(|e| (e - mean).abs()).fold(0.0, f64::max)
     }
 
+    fn solved(outliers: bool) -> Vec<f32> {
+        let (samples, log_secs) = samples(outliers);
+        let channels = [samples.clone(), samples.clone(), samples];
+        solve(&channels, &log_secs, None).unwrap().log_exposure[1].clone()
+    }
+
     #[test]
     fn recovers_a_film_curve() {
-        let (samples, log_secs) = samples(false);
-        let g = solve_channel(&samples, &log_secs, None).unwrap();
+        let g = solved(false);
         assert!(worst_error(&g) < 0.06, "{}", worst_error(&g));
         assert!(g.windows(2).all(|w| w[1] > w[0]));
         assert!((g[127] + g[128]).abs() < 0.02);
@@ -251,15 +292,14 @@ mod tests {
 
     #[test]
     fn moved_things_do_not_bend_it() {
-        let (samples, log_secs) = samples(true);
-        let g = solve_channel(&samples, &log_secs, None).unwrap();
+        let g = solved(true);
         assert!(worst_error(&g) < 0.08, "{}", worst_error(&g));
     }
 
     #[test]
     fn saturated_everywhere_is_an_error() {
         let samples = vec![vec![Some(1.0), Some(1.0)]; 100];
-        assert!(solve_channel(&samples, &[0.0, 1.0], None).is_err());
+        assert!(solve(&[samples.clone(), samples.clone(), samples], &[0.0, 1.0], None).is_err());
     }
 
     #[test]

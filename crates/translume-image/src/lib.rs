@@ -18,6 +18,7 @@ mod linear;
 pub mod metrics;
 mod orient;
 mod picture;
+pub mod primaries;
 mod raster;
 mod read;
 pub mod tonemap;

@@ -3,9 +3,9 @@
 use crate::commands::Verb;
 use crate::config::{self, Request};
 use crate::output::{self, Context};
+use clap::builder::RangedU64ValueParser;
 use clap::{CommandFactory, FromArgMatches};
 use std::ffi::OsString;
-use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 /// Exit status of a run that failed; 0 is a run that did not.
@@ -52,8 +52,8 @@ pub(crate) struct GlobalOptions {
     #[arg(short, long, global = true)]
     pub(crate) quiet: bool,
     /// Number of threads [default: one per core]
-    #[arg(long, global = true, value_name = "N")]
-    pub(crate) threads: Option<NonZeroUsize>,
+    #[arg(long, global = true, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1024))]
+    pub(crate) threads: Option<usize>,
     /// Take options from a TOML file; those on the command line win
     #[arg(long, global = true, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
@@ -95,7 +95,7 @@ fn execute(matches: &clap::ArgMatches, argv: &[OsString]) -> anyhow::Result<()> 
     let Cli { global, verb } = Cli::from_arg_matches(matches)?;
     let context = Context::new(&global, argv)?;
     if let Some(threads) = global.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global()?;
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
     let outcome = verb.run(&context).and_then(|()| context.finish());
     if let Err(error) = &outcome {

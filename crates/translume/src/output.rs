@@ -167,7 +167,9 @@ pub(crate) fn usage_line(error: &clap::Error) -> String {
     let is_name = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
     let verb = usage.split_whitespace().take_while(is_name).collect::<Vec<_>>().join(" ");
     let verb = if verb.is_empty() { "translume" } else { &verb };
-    format!("{} (see {verb} --help)", flatten(message.trim_start_matches("error: ")))
+    // A tip is a paragraph of its own.
+    let parts: Vec<_> = message.trim_start_matches("error: ").split("\n\n").map(flatten).collect();
+    format!("{} (see {verb} --help)", parts.join("; "))
 }
 
 fn complain(message: &str) {

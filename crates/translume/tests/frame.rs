@@ -25,7 +25,10 @@ fn wrong_usage_is_one_line_and_status_2() {
     assert!(error.contains("<SHELL>"), "{error}");
     let error = translume(dir.path(), &["completions", "cobol"]).error(2);
     assert!(error.contains("bash"), "{error}");
+    let error = translume(dir.path(), &["man", "--jsno"]).error(2);
+    assert!(error.contains("found; tip: a similar argument exists: '--json'"), "{error}");
     translume(dir.path(), &["man", "--threads", "0"]).error(2);
+    translume(dir.path(), &["man", "--threads", "99999999"]).error(2);
     translume(dir.path(), &["man", "-q", "-v"]).error(2);
 }
 

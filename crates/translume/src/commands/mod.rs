@@ -6,14 +6,19 @@
 
 mod compare;
 mod completions;
+mod hdr;
 mod image;
 mod man;
+mod mesh;
 
 use crate::output::Context;
 
 /// What the program can do, in the order of the help.
 #[derive(Debug, clap::Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
 pub(crate) enum Verb {
+    Hdr(hdr::Args),
+    Mesh(mesh::Args),
     #[command(subcommand)]
     Image(image::Args),
     Compare(compare::Args),
@@ -25,6 +30,8 @@ impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
+            Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Mesh(args) => mesh::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
