@@ -46,6 +46,12 @@ fn tiled_multi_part_and_named_layers() {
 }
 
 #[test]
+fn deep_pictures_are_refused_in_words() {
+    let error = read_picture(&data("deep.exr")).unwrap_err();
+    assert!(matches!(error, Error::Unsupported { .. }) && error.to_string().contains("deep"), "{error}");
+}
+
+#[test]
 fn the_display_window_is_the_picture() {
     // Stored are columns 2 to 25 and rows 3 to 22; shown are columns -4 to 25 and rows 8 to 23.
     let picture = read("windows.exr");

@@ -110,3 +110,37 @@ fn write(
         writer.finish().map_err(failed)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gamma_chunk_is_followed_unless_srgb_is_said() {
+        let encode = |srgb: bool, gamma: f32| {
+            let mut bytes = Vec::new();
+            let mut encoder = png::Encoder::new(&mut bytes, 1, 1);
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_source_gamma(png::ScaledFloat::new(gamma));
+            if srgb {
+                encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+            }
+            let mut writer = encoder.write_header().unwrap();
+            writer.write_image_data(&[51, 102, 204]).unwrap();
+            writer.finish().unwrap();
+            bytes
+        };
+        let read = |bytes: Vec<u8>| crate::decode_picture(&bytes, Path::new("a.png")).unwrap().pixels.into_raw();
+        for (got, expected) in read(encode(false, 1.0)).into_iter().zip([0.2f32, 0.4, 0.8]) {
+            assert!((got - expected).abs() < 1e-6);
+        }
+        let srgb = read(encode(true, 0.45455));
+        assert!((srgb[2] - crate::colour::srgb_to_linear(0.8)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn sizes_that_do_not_fit_are_refused() {
+        assert!(write_png8(Path::new("a.png"), (2, 2), &[0; 11]).is_err());
+        assert!(write_gray_png(Path::new("a.png"), (0, 0), &[]).is_err());
+    }
+}

@@ -1,5 +1,4 @@
 """Makes the small files of this folder: pip install OpenEXR==3.5.3 pillow==13.0.0 tifffile==2026.3.3, then run here."""
-import io
 import numpy as np
 import OpenEXR
 import tifffile
@@ -42,6 +41,11 @@ beauty = OpenEXR.Part(scanlines(name="beauty"), {k: OpenEXR.Channel(v) for k, v 
 OpenEXR.File([depth, beauty]).write("multipart.exr")
 OpenEXR.File(scanlines(), {**rgb(prefix="albedo."), "depth.Z": X.copy()}).write("layers.exr")
 
+deep = np.empty((4, 6), dtype=object)
+for i in range(24):
+    deep.flat[i] = np.arange(i % 3, dtype=np.float32)
+OpenEXR.File({"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}, {"Z": deep}).write("deep.exr")
+
 # Integer pictures: gray ramps and primaries, with profiles and orientations.
 ramp = np.linspace(0, 255, 48).reshape(6, 8).astype(np.uint8)
 patches = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [128, 128, 128]]], np.uint8).repeat(8, 0).repeat(8, 1)
@@ -57,8 +61,8 @@ Image.fromarray(patches).save("progressive.jpg", quality=100, progressive=True)
 Image.fromarray(patches).quantize(4).save("palette.png", bits=2)
 Image.fromarray(np.dstack([patches, np.arange(256, dtype=np.uint8).reshape(16, 16)])).save("alpha.png")
 Image.fromarray(ramp > 100).save("one-bit.png")
-lab_like = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-Image.fromarray(patches).save("srgb-profile.png", icc_profile=lab_like)
+profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+Image.fromarray(patches).save("srgb-profile.png", icc_profile=profile)
 tifffile.imwrite("gray-float.tif", RGB[..., 0])
 tifffile.imwrite("half-tiled.tif", np.pad(RGB, ((0, 12), (0, 8), (0, 0))).astype(np.float16), tile=(16, 16), photometric="rgb")
 tifffile.imwrite("planes.tif", np.ascontiguousarray(np.moveaxis((RGB * 8000).astype(np.uint16), -1, 0)), photometric="rgb",
