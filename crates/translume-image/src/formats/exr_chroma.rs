@@ -4,10 +4,10 @@
 //! the compressed bytes go through the crate. Chroma is interpolated linearly; OpenEXR's own reader has a filter of 27
 //! taps, which is sharper at hard edges of colour.
 
-use super::exr_read::{Frame, Roles, each_sample, failed, metadata, raster};
+use super::exr_read::{DAMAGED_BLOCK, Frame, Roles, each_sample, failed, metadata, raster};
 use crate::colour::Space;
 use crate::raster::Raster;
-use crate::{Error, Result, limits};
+use crate::{Error, Result, guard, limits};
 use exr::block::chunk::CompressedScanLineBlock;
 use exr::block::lines::{LineIndex, LineRef};
 use exr::math::Vec2;
@@ -110,9 +110,9 @@ impl Planes {
             return Err(Error::unsupported(path, "an OpenEXR picture with this sampling of its channels"));
         }
         described.channels.bytes_per_pixel = expected / bounds.size.area();
-        let data = header
-            .compression
-            .decompress_image_section_from_le(&described, chunk.compressed_pixels_le, bounds, false)
+        let (compression, bytes) = (header.compression, chunk.compressed_pixels_le);
+        let data = guard::run(|| compression.decompress_image_section_from_le(&described, bytes, bounds, false))
+            .ok_or_else(|| Error::invalid(path, DAMAGED_BLOCK))?
             .map_err(|e| failed(path, e))?;
         if data.len() != expected {
             return Err(Error::invalid(path, "a damaged OpenEXR chunk"));

@@ -6,12 +6,13 @@
 
 use super::exr_chroma;
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, guard, limits, orient::Orientation};
 use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
 use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
 use exr::meta::{MetaData, header::Header};
+use rayon::prelude::*;
 use std::io::{BufRead, Seek, SeekFrom};
 use std::path::Path;
 
@@ -253,6 +254,9 @@ pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take:
     }
 }
 
+/// Chunks that are read before they are decompressed together.
+const BATCH: usize = 64;
+
 /// Decompresses the full-resolution blocks of one part and hands over their lines.
 fn read_lines<R: BufRead + Seek>(
     reader: block::reader::Reader<R>,
@@ -260,15 +264,26 @@ fn read_lines<R: BufRead + Seek>(
     path: &Path,
     mut take: impl FnMut(LineRef<'_>),
 ) -> Result<()> {
-    let chunks = reader
+    let mut chunks = reader
         .filter_chunks(false, |_, tile, block| block.layer == part && tile.level_index == Vec2(0, 0))
         .map_err(|e| failed(path, e))?;
-    let mut insert = |meta: &MetaData, block: UncompressedBlock| {
-        block.lines(&meta.headers[part].channels).for_each(&mut take);
-        Ok(())
-    };
-    chunks.decompress_parallel(false, &mut insert).map_err(|e| failed(path, e))
+    let meta = chunks.meta_data().clone();
+    loop {
+        let batch: Vec<_> = chunks.by_ref().take(BATCH).collect();
+        if batch.is_empty() {
+            return Ok(());
+        }
+        // Not the crate's own threads: a panic there ends the process (see the guard).
+        let decompress = |chunk| guard::run(|| UncompressedBlock::decompress_chunk(chunk, &meta, false));
+        let blocks: Vec<_> = batch.into_par_iter().map(|chunk| chunk.map(decompress)).collect();
+        for block in blocks {
+            let block = block.map_err(|e| failed(path, e))?.ok_or_else(|| Error::invalid(path, DAMAGED_BLOCK))?;
+            block.map_err(|e| failed(path, e))?.lines(&meta.headers[part].channels).for_each(&mut take);
+        }
+    }
 }
+
+pub(crate) const DAMAGED_BLOCK: &str = "a damaged OpenEXR block; copy or render the file again";
 
 /// Whether the file can hold the pixels that a part says are stored.
 fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
