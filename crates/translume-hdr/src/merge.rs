@@ -5,6 +5,7 @@
 //! confidence. Clipped values of the shortest exposure count only where nothing else does, as a lower bound.
 
 use crate::align::Aligned;
+use crate::decode::CLIPPED;
 use crate::exposure::Shot;
 use crate::warp::{self, Strip};
 use crate::weight::Noise;
@@ -40,7 +41,8 @@ pub(crate) enum Trust {
     Measured,
     /// Clipped in every picture: a lower bound in some channel.
     Bound,
-    /// Clipped in the anchor, and the pictures that are not show something else: a lower bound in some channel.
+    /// Clipped in the anchor, and the pictures that are not show something else, or do not reach here: a lower bound in
+    /// some channel.
     Hole,
 }
 
@@ -73,6 +75,7 @@ fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], Trus
         let (mut sum, mut total) = (0.0f32, 0.0f32);
         for (k, (shot, strip)) in m.shots.iter().zip(strips).enumerate() {
             if !strip.seen[p] {
+                rejected |= shot.log_secs < m.shots[m.anchor].log_secs;
                 continue;
             }
             let u = strip.codes[3 * p + c];
@@ -121,7 +124,7 @@ fn weight_of(m: &Merge<'_>, k: usize, c: usize, u: f32) -> f32 {
             let full = d.full_range(c);
             let variance = noise.log_variance((d.log_exposure(c, u) - full).exp());
             // Fades out over the last tenth below clipping.
-            let fade = ((crate::decode::CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
+            let fade = ((CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
             1e-3 * fade / variance
         }
     }
