@@ -5,8 +5,11 @@
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
 mod completions;
+mod demo;
 mod hdr;
 mod man;
+mod page;
+mod pictures;
 
 use crate::output::Context;
 
@@ -14,6 +17,7 @@ use crate::output::Context;
 #[derive(Debug, clap::Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
 pub(crate) enum Verb {
+    Demo(demo::Args),
     Hdr(hdr::Args),
     Completions(completions::Args),
     Man(man::Args),
@@ -23,6 +27,7 @@ impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
+            Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
