@@ -37,6 +37,8 @@ pub(crate) enum Kind {
 
 /// Float values below this share of full range are black.
 const FLOAT_FLOOR: f32 = 2e-4;
+/// Further uncertainty of codes above 0.9, downwards, per unit of code.
+const SHOULDER: f32 = 0.8;
 /// Exponent of the display-like scale of float values.
 const GAMMA: f32 = 2.2;
 
@@ -82,7 +84,9 @@ impl Decoder {
     pub(crate) fn interval(&self, channel: usize, low: f32, high: f32) -> (f32, f32) {
         match &self.kind {
             Kind::Curve(response) => {
-                let (low, high) = (low.min(CLIPPED) - self.blur_at(low), high + self.blur_at(high));
+                // Cameras compress highlights near the end of the range by more than any one curve.
+                let shoulder = SHOULDER * (low - 0.9).max(0.0);
+                let (low, high) = (low.min(CLIPPED) - self.blur_at(low) - shoulder, high + self.blur_at(high));
                 let lo = if low <= BLACK { f32::NEG_INFINITY } else { response.log_exposure(channel, low) };
                 let hi = if high >= CLIPPED { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
                 (lo, hi)

@@ -20,8 +20,6 @@ pub(crate) struct Shot<'a> {
     pub(crate) name: &'a str,
     pub(crate) codes: &'a Codes,
     pub(crate) log_secs: f32,
-    /// What response and exposure may be off against the neighbour in exposure, in ln units.
-    pub(crate) tolerance: f32,
     /// `true` where the pixel is border, not picture.
     pub(crate) border: Option<Vec<bool>>,
     pub(crate) decoder: Decoder,

@@ -174,7 +174,7 @@ impl Ball {
         // Six sectors about an axis that leans towards the viewer.
         let sector = ((d[1] + 0.3 * z).atan2(d[0]) + self.roll_rad).rem_euclid(std::f64::consts::TAU) * 3.0
             / std::f64::consts::PI;
-        let colour = if sector as u32 % 2 == 0 { [1.0, 1.0, 0.95] } else { [0.85, 0.08, 0.05] };
+        let colour = if (sector as u32).is_multiple_of(2) { [1.0, 1.0, 0.95] } else { [0.85, 0.08, 0.05] };
         Some((colour.map(|c: f32| c * self.white * shade as f32), share as f32))
     }
 }

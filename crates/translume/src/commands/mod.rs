@@ -4,10 +4,13 @@
 //! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
+mod compare;
 mod completions;
 mod demo;
 mod hdr;
+mod image;
 mod man;
+mod mesh;
 mod page;
 mod pictures;
 
@@ -19,6 +22,10 @@ use crate::output::Context;
 pub(crate) enum Verb {
     Demo(demo::Args),
     Hdr(hdr::Args),
+    Mesh(mesh::Args),
+    #[command(subcommand)]
+    Image(image::Args),
+    Compare(compare::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -29,6 +36,9 @@ impl Verb {
         match self {
             Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Mesh(args) => mesh::run(args, ctx),
+            Self::Image(args) => image::run(args, ctx),
+            Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }

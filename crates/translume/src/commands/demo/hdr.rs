@@ -47,10 +47,10 @@ pub(super) fn chapter(dir: &Path, ctx: &Context) -> anyhow::Result<Part> {
     let tripod = merge(Params { alignment: Alignment::Off, ghosts: None, ..anchored() })?;
 
     let rows = [
-        ("the middle exposure alone", single(&bracket)),
-        ("merged as if from a tripod", tripod.radiance.clone()),
-        ("one rotation and shift per picture", global.radiance.clone()),
-        ("non-linear alignment and ghost removal (default)", merged.radiance.clone()),
+        ("the middle exposure alone", &single(&bracket)),
+        ("merged as if from a tripod", &tripod.radiance),
+        ("aligned by one affine map per shot", &global.radiance),
+        ("aligned non-linearly, ghosts left out (the default)", &merged.radiance),
     ];
     let psnr: Vec<f64> = rows.iter().map(|(_, picture)| psnr_mu(&bracket, picture)).collect();
     let end_point: Vec<f64> = (0..SHOTS.len()).map(|i| end_point_error(&bracket, &merged, i)).collect();
