@@ -309,7 +309,7 @@ impl Table {
     fn new(decoder: &Decoder, f: impl Fn(usize, f32) -> f32) -> Self {
         let tabulate =
             || (0..=Self::SIZE).map(|i| std::array::from_fn(|c| f(c, i as f32 / Self::SIZE as f32))).collect();
-        Self(matches!(decoder.kind, Kind::Curve(_)).then(tabulate))
+        Self(matches!(decoder.kind, Kind::Curve { .. }).then(tabulate))
     }
 
     #[inline]
@@ -361,8 +361,26 @@ pub(crate) fn box_mean(v: &[f32], w: usize, r: usize) -> Vec<f32> {
     out
 }
 
-/// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays.
+/// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays; and places
+/// where accepted and rejected pixels alternate given up as a whole, because a picture is not improved by speckles.
 fn soften(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
+    let mut out = grow(raw, w, h);
+    let broad: Vec<f32> = out.iter().map(|c| f32::from(*c)).collect();
+    let radius = (w.min(h) / 80).clamp(2, 24);
+    let broad = box_mean(&box_mean(&broad, w, radius), w, radius);
+    out.par_iter_mut().zip(broad).for_each(|(o, b)| {
+        let keep = smoothstep(SPECKLED.0, SPECKLED.1, b / 255.0);
+        *o = (f32::from(*o) * keep + 0.5) as u8;
+    });
+    out
+}
+
+/// Share of confidence in a neighbourhood (an eightieth of the picture's shorter side) below which all of it is given
+/// up, and above which none.
+const SPECKLED: (f32, f32) = (0.3, 0.75);
+
+/// Ghosts grown by 3 pixels and feathered.
+fn grow(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
     const GROW: usize = 3;
     let across: Vec<u8> = raw
         .par_chunks(w)

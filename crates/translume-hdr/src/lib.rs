@@ -130,6 +130,7 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
             decoder: exposure::decoder_of(&e.codes, &start),
         })
         .collect();
+    exposure::share_clip(&mut shots);
     let mut order: Vec<usize> = (0..shots.len()).collect();
     order.sort_by(|a, b| exposures[*a].secs.total_cmp(&exposures[*b].secs).then(a.cmp(b)));
     let anchor = match params.anchor {

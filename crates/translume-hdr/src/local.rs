@@ -213,6 +213,8 @@ struct Cost {
 const WINDOW: isize = 14;
 /// Standard errors by which a displacement must beat standing still: the search tries about a hundred.
 const SIGNIFICANT: f32 = 3.0;
+/// A robust difference above this is no match, whatever the search preferred: the node follows its neighbours.
+const HOPELESS: f32 = 0.4;
 /// Variance of matched grey values from rounding and noise.
 const NOISE: f32 = 0.006 * 0.006;
 /// Share of the information that is independent, windows overlapping and pixels being correlated.
@@ -292,7 +294,7 @@ fn measure(a: &Plane, gx: &Plane, gy: &Plane, b: &Plane, grid: &Grid, k: usize, 
     let shrink = if length > 1.0 { 1.0 / length } else { 1.0 };
     let variance = squares / weights.max(1e-3) + NOISE;
     // A window in which most pixels disagree tells little, however sharp it is.
-    let trust = INDEPENDENT * (weights / n).powi(2) / variance;
+    let trust = if mean > HOPELESS { 0.0 } else { INDEPENDENT * (weights / n).powi(2) / variance };
     let m = Measurement {
         d: [d[0] + shrink * step[0], d[1] + shrink * step[1]],
         information: [trust * xx, trust * xy, trust * yy],

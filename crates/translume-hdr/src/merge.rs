@@ -5,6 +5,7 @@
 //! confidence. Clipped values of the shortest exposure count only where nothing else does, as a lower bound.
 
 use crate::align::Aligned;
+use crate::decode::CLIPPED;
 use crate::exposure::Shot;
 use crate::warp::{self, Strip};
 use crate::weight::Noise;
@@ -121,7 +122,7 @@ fn weight_of(m: &Merge<'_>, k: usize, c: usize, u: f32) -> f32 {
             let full = d.full_range(c);
             let variance = noise.log_variance((d.log_exposure(c, u) - full).exp());
             // Fades out over the last tenth below clipping.
-            let fade = ((crate::decode::CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
+            let fade = ((CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
             1e-3 * fade / variance
         }
     }
