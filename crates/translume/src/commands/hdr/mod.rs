@@ -66,7 +66,10 @@ pub(crate) struct Args {
     /// What to expect of the capture
     #[arg(long, value_enum, default_value_t = Preset::Handheld, help_heading = "Method")]
     preset: Preset,
-    /// Take the pictures as registered
+    /// How far to align: not at all, by one affine map per picture, or locally too
+    #[arg(long, value_enum, value_name = "HOW", help_heading = "Method", conflicts_with = "no_align")]
+    align: Option<Align>,
+    /// Take the pictures as registered: the same as --align off
     #[arg(long, help_heading = "Method")]
     no_align: bool,
     /// Keep what moved
@@ -128,6 +131,13 @@ enum Preset {
     Handheld,
     /// Much moves: stricter ghost removal
     Moving,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Align {
+    Off,
+    Global,
+    Nonlinear,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -246,7 +256,14 @@ fn params(args: &Args) -> anyhow::Result<Params> {
         Preset::Moving => Some(GhostParams { correlation: 0.97, gap: (0.008, 0.035) }),
     };
     Ok(Params {
-        alignment: if args.no_align || args.preset == Preset::Tripod { Alignment::Off } else { Alignment::NonLinear },
+        alignment: match args.align {
+            _ if args.no_align => Alignment::Off,
+            Some(Align::Off) => Alignment::Off,
+            Some(Align::Global) => Alignment::Global,
+            Some(Align::Nonlinear) => Alignment::NonLinear,
+            None if args.preset == Preset::Tripod => Alignment::Off,
+            None => Alignment::NonLinear,
+        },
         ghosts: ghosts.filter(|_| !args.no_deghost),
         anchor: args.anchor,
         response,
