@@ -149,6 +149,9 @@ fn exposures(files: &[PathBuf], pictures: &[Codes], args: &Args) -> anyhow::Resu
     }
     if !args.ev.is_empty() {
         counted(args.ev.len(), "--ev")?;
+        if let Some(ev) = args.ev.iter().find(|ev| !(-64.0..=64.0).contains(*ev)) {
+            return Err(Usage(format!("--ev {ev}: give stops between -64 and 64, like -2,0,2")).into());
+        }
         return Ok(args.ev.iter().map(|ev| ev.exp2()).collect());
     }
     if let Some(list) = list(args)? {
