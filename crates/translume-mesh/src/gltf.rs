@@ -41,8 +41,9 @@ pub struct Placed {
     pub world_from_node: DAffine3,
 }
 
-/// A small file can place a mesh many times over; flattening stops there.
-const LARGEST_FLATTENED: u64 = 1 << 27;
+/// A small file can place a mesh many times over. Flattening stops at this many vertices and triangles, and eight more for
+/// each byte of the buffers.
+const LARGEST_FLATTENED: usize = 1 << 25;
 
 /// Buffers without data up to this many bytes are read as zeros.
 const LARGEST_PLACEHOLDER: u64 = 1 << 24;
@@ -241,10 +242,11 @@ impl Asset {
     ///
     /// # Errors
     /// Those of [`Asset::placed`] and [`Asset::primitive`], and [`Error::Unsupported`] when instances would multiply
-    /// into more than 2^27 vertices.
+    /// far beyond the size of the file.
     pub fn flatten(&self) -> Result<Loaded> {
         let mut loaded = Loaded::default();
-        let (mut vertices, mut left_out, mut skinned) = (0_u64, 0, 0);
+        let limit = self.buffers.iter().flatten().fold(LARGEST_FLATTENED, |n, b| n.saturating_add(8 * b.len()));
+        let (mut elements, mut left_out, mut skinned) = (0_usize, 0, 0);
         for Placed { node, mesh, world_from_node } in self.placed()? {
             let Some(source) = self.document.meshes.get(mesh) else {
                 return Err(Error::invalid(
@@ -259,10 +261,10 @@ impl Asset {
                     left_out += 1;
                     continue;
                 };
-                vertices += part.positions.len() as u64;
-                if vertices > LARGEST_FLATTENED {
-                    let what = "more than 2^27 vertices once instances are flattened; load it as a scene";
-                    return Err(Error::unsupported(&self.path, what));
+                elements += part.positions.len() + part.indices.len();
+                if elements > limit {
+                    let what = format!("more than {limit} vertices and triangles once instances are flattened");
+                    return Err(Error::unsupported(&self.path, what + "; load it as a scene"));
                 }
                 part.transform(&world_from_node);
                 let material = primitive.material.and_then(|m| self.json["materials"][m.get()]["name"].as_str());

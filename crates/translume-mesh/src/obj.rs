@@ -191,40 +191,30 @@ impl Reader {
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let material_files = self.libraries.iter().map(|l| folder.join(l)).collect();
-        let mut vertex_of = vec![NONE; self.positions.len()];
         let parts = self.groups.iter().filter(|g| !g.triangles.is_empty());
-        let parts = parts.map(|g| self.part(g, path, &mut vertex_of)).collect::<Result<_>>()?;
+        let parts = parts.map(|g| self.part(g, path)).collect::<Result<_>>()?;
         Ok(Loaded { parts, material_files, warnings })
     }
 
-    /// Makes vertices from the distinct corners of a group. `newest[p]` is the last vertex made from position `p`, all
-    /// `NONE` on entry and on return; vertices of one position form a chain from there.
-    fn part(&self, group: &Group, path: &Path, newest: &mut [u32]) -> Result<Part> {
+    /// Makes vertices from the distinct corners of a group, in the order of their first use.
+    fn part(&self, group: &Group, path: &Path) -> Result<Part> {
         let all = |which: usize| group.triangles.iter().flatten().all(|c| c[which] != NONE);
         let any = |which: usize| group.triangles.iter().flatten().any(|c| c[which] != NONE);
         // Normals on some corners only are as good as none; texture coordinates are filled with zeros.
         let (with_uvs, with_normals) = (any(1), all(2));
-        let (mut vertices, mut older): (Vec<Corner>, Vec<u32>) = (Vec::new(), Vec::new());
-        let mut indices = Vec::with_capacity(group.triangles.len());
-        for triangle in &group.triangles {
-            indices.push(triangle.map(|[p, t, n]| {
-                let wanted = [p, if with_uvs { t } else { NONE }, if with_normals { n } else { NONE }];
-                let mut at = newest[p as usize];
-                while at != NONE && vertices[at as usize] != wanted {
-                    at = older[at as usize];
-                }
-                if at == NONE {
-                    at = vertices.len() as u32;
-                    vertices.push(wanted);
-                    older.push(std::mem::replace(&mut newest[p as usize], at));
-                }
-                at
-            }));
-        }
+        let mut vertices: Vec<Corner> = Vec::new();
+        let mut numbers: HashMap<Corner, u32> = HashMap::new();
+        let mut number = |[p, t, n]: Corner| {
+            let corner = [p, if with_uvs { t } else { NONE }, if with_normals { n } else { NONE }];
+            *numbers.entry(corner).or_insert_with(|| {
+                vertices.push(corner);
+                (vertices.len() - 1) as u32
+            })
+        };
+        let indices: Vec<[u32; 3]> = group.triangles.iter().map(|t| t.map(&mut number)).collect();
         if vertices.len() >= NONE as usize {
             return Err(Error::unsupported(path, "more distinct corners than 32-bit indices reach"));
         }
-        vertices.iter().for_each(|v| newest[v[0] as usize] = NONE);
         let mesh = TriMesh {
             positions: vertices.iter().map(|v| self.positions[v[0] as usize]).collect(),
             normals: with_normals.then(|| vertices.iter().map(|v| self.normals[v[2] as usize]).collect()),

@@ -40,20 +40,29 @@ fn is_convex(p: &[DVec2]) -> bool {
 
 fn clip_ears(p: &[DVec2], mut emit: impl FnMut([usize; 3])) {
     let mut left: Vec<usize> = (0..p.len()).collect();
+    let mut ears: Vec<bool> = (0..p.len()).map(|i| is_ear(p, &left, i)).collect();
     while left.len() > 3 {
-        let n = left.len();
-        let around = |i: usize| [left[(i + n - 1) % n], left[i], left[(i + 1) % n]];
-        let is_ear = |i: usize| {
-            let [a, b, c] = around(i);
-            turn(p[a], p[b], p[c]) > 0.0
-                && !left.iter().any(|&j| j != a && j != b && j != c && inside(p[j], p[a], p[b], p[c]))
-        };
         // A polygon that crosses itself may have no ear; any corner does then.
-        let i = (0..n).find(|&i| is_ear(i)).unwrap_or(1);
-        emit(around(i));
+        let i = ears.iter().position(|&e| e).unwrap_or(1);
+        emit(around(&left, i));
         left.remove(i);
+        ears.remove(i);
+        // Only the neighbours can become ears or cease to be.
+        for i in [(i + left.len() - 1) % left.len(), i % left.len()] {
+            ears[i] = is_ear(p, &left, i);
+        }
     }
     emit([left[0], left[1], left[2]]);
+}
+
+fn around(left: &[usize], i: usize) -> [usize; 3] {
+    let n = left.len();
+    [left[(i + n - 1) % n], left[i], left[(i + 1) % n]]
+}
+
+fn is_ear(p: &[DVec2], left: &[usize], i: usize) -> bool {
+    let [a, b, c] = around(left, i);
+    turn(p[a], p[b], p[c]) > 0.0 && !left.iter().any(|&j| j != a && j != b && j != c && inside(p[j], p[a], p[b], p[c]))
 }
 
 fn inside(q: DVec2, a: DVec2, b: DVec2, c: DVec2) -> bool {

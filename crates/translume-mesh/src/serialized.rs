@@ -71,8 +71,10 @@ fn head(bytes: &[u8], offset: usize) -> Parsed<u16> {
 fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part> {
     let version = head(bytes, offset)?;
     let packed = &bytes[offset + 4..];
-    // Deflate cannot expand more than about 1032 times.
-    let mut stream = Stream { inner: ZlibDecoder::new(packed), index, most: (packed.len() as u64 + 64) * 1100 };
+    // Deflate expands at most some 1032 times; no mesh worth its name needs that, so large files get less.
+    let n = packed.len() as u64;
+    let mut stream =
+        Stream { inner: ZlibDecoder::new(packed), index, most: (1100 * (n + 64)).min((1 << 28) + 100 * n) };
     let flags = stream.u32()?;
     let name = if version == 4 { stream.name()? } else { String::new() };
     let (vertices, triangles) = (stream.u64()?, stream.u64()?);
@@ -103,7 +105,7 @@ fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part>
 struct Stream<'a> {
     inner: ZlibDecoder<&'a [u8]>,
     index: usize,
-    /// The stream cannot hold more bytes than this.
+    /// More bytes than this are not taken from the stream.
     most: u64,
 }
 
