@@ -13,6 +13,7 @@ pub mod compare;
 mod error;
 mod exif;
 mod formats;
+pub mod guard;
 pub mod limits;
 mod linear;
 pub mod metrics;

@@ -16,8 +16,8 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let (stored, bits) = layout(colour, path)?;
     let size = (u64::from(w), u64::from(h));
     let bytes = u64::from(bits).div_ceil(8);
-    let ratio = limits::MAX_RATIO * if bits < 8 { 8 } else { 1 };
-    let count = limits::samples(path, size, stored as u64, bytes, file.len() as u64, ratio)?;
+    let pixel_bits = stored as u64 * u64::from(bits);
+    let count = limits::samples(path, size, stored as u64, pixel_bits, file.len() as u64, limits::MAX_RATIO)?;
     let mut limit = tiff::decoder::Limits::default();
     limit.decoding_buffer_size = count.saturating_mul(bytes as usize);
     limit.intermediate_buffer_size = limit.decoding_buffer_size.saturating_add(1 << 20);
