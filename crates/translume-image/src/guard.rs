@@ -30,7 +30,7 @@ mod tests {
 
     #[test]
     fn a_panic_is_caught_and_the_state_restored() {
-        assert_eq!(run(|| is_active()), Some(true));
+        assert_eq!(run(is_active), Some(true));
         assert_eq!(run(|| -> u8 { panic!("damaged") }), None);
         assert!(!is_active());
     }

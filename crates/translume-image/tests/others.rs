@@ -39,6 +39,13 @@ fn tiled_multi_part_and_named_layers() {
     let parts = read_exr_parts(&data("multipart.exr")).unwrap();
     assert_eq!(parts.iter().map(|p| p.name.as_deref().unwrap()).collect::<Vec<_>>(), ["depth", "beauty"]);
     assert_eq!(read_exr_parts(&data("tiled.exr")).unwrap()[0].tiles, Some([16, 8]));
+    for (file, layer) in [("layers.exr", "albedo"), ("multipart.exr", "beauty")] {
+        assert_eq!(read_layer(&data(file), layer).unwrap().pixels, read(file).pixels);
+    }
+    assert_eq!(read_layer(&data("multipart.exr"), "depth").unwrap().pixels.get_pixel(7, 3).0, [7.0; 3]);
+    let error = read_layer(&data("layers.exr"), "normal").unwrap_err().to_string();
+    assert!(error.contains("normal") && error.contains("it has albedo, depth"), "{error}");
+    assert!(read_layer(&data("gray.jpg"), "albedo").is_err());
     let depth = read_exr_channels(&data("multipart.exr"), 0).unwrap();
     assert_eq!((depth.width, depth.height, depth.planes[0].0.as_str()), (24, 20, "Z"));
     assert_eq!(depth.planes[0].1[24 + 5], 5.0);
@@ -118,8 +125,10 @@ fn gray_palette_progressive_and_alpha() {
     assert_patches("progressive.jpg", false, 0.02);
     assert_patches("palette.png", false, 0.0);
     assert_patches("alpha.png", false, 0.0);
-    let alpha = read("alpha.png").alpha.unwrap();
+    let picture = read("alpha.png");
+    let alpha = picture.alpha.as_ref().unwrap();
     assert!((0..256).all(|i| (alpha[i] - i as f32 / 255.0).abs() < 1e-6));
+    assert_eq!(picture.pixels.get_pixel(3, 2).0, [alpha[35], 0.0, 0.0], "light is multiplied by alpha");
     let gray = read_codes(&data("gray.jpg")).unwrap();
     assert_eq!((gray.width, gray.height), (8, 6));
     assert!((gray.unit(3 * 47) - 1.0).abs() < 0.02 && gray.unit(0) < 0.02);
@@ -149,5 +158,15 @@ fn tiff_in_floats_halves_tiles_planes_and_either_byte_order() {
         let Samples::U16(v) = codes.samples else { panic!("{name}: not 16 bits") };
         let i = 3 * (11 * 24 + 9);
         assert_eq!(v[i..i + 3], truth(9, 11).map(|v| (v * 8000.0) as u16), "{name}");
+    }
+}
+
+/// Inputs that once crashed a reader.
+#[test]
+fn what_crashed_once_is_an_error() {
+    let files: Vec<_> = std::fs::read_dir(data("crashes")).unwrap().map(|f| f.unwrap().path()).collect();
+    assert!(!files.is_empty());
+    for file in files {
+        assert!(read_picture(&file).is_err(), "{}", file.display());
     }
 }

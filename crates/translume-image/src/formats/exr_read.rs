@@ -93,7 +93,13 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     Ok(ExrPlanes { width, height, planes })
 }
 
-pub(crate) fn read<R: BufRead + Seek>(mut file: R, file_bytes: u64, path: &Path) -> Result<Raster> {
+/// Reads the layer called `layer`, without one the picture itself.
+pub(crate) fn read<R: BufRead + Seek>(
+    mut file: R,
+    layer: Option<&str>,
+    file_bytes: u64,
+    path: &Path,
+) -> Result<Raster> {
     let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(path, e))?;
     for header in &meta.headers {
         refuse_deep(path, header)?;
@@ -101,11 +107,16 @@ pub(crate) fn read<R: BufRead + Seek>(mut file: R, file_bytes: u64, path: &Path)
         check_stored(header, file_bytes, path)?;
     }
     match meta.headers.as_slice() {
-        [header] if exr_chroma::is_subsampled(header) => return exr_chroma::read(file, header, file_bytes, path),
+        [header] if layer.is_none() && exr_chroma::is_subsampled(header) => {
+            return exr_chroma::read(file, header, file_bytes, path);
+        }
         _ => file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?,
     };
     let reader = block::read(file, false).map_err(|e| failed(path, e))?;
-    let (part, roles) = choose(reader.headers(), path)?;
+    let (part, roles) = match layer {
+        Some(layer) => choose_layer(reader.headers(), layer, path)?,
+        None => choose(reader.headers(), path)?,
+    };
     let header = reader.headers()[part].clone();
     let frame = Frame::new(&header, roles.slots(), file_bytes, path)?;
     let mut samples = limits::buffer::<f32>(path, frame.width * frame.height * frame.slots)?;
@@ -134,6 +145,7 @@ pub(crate) fn raster(frame: &Frame, samples: Vec<f32>, metadata: Metadata) -> Ra
         channels: frame.slots,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: Orientation::default(),
         metadata,
     }
@@ -198,6 +210,11 @@ impl Roles {
         Some(Self { colour: vec![find("Y")?], alpha, luma_chroma: false })
     }
 
+    /// A part's only channel, as gray.
+    fn lone(header: &Header) -> Option<Self> {
+        (header.channels.list.len() == 1).then(|| Self { colour: vec![0], alpha: None, luma_chroma: false })
+    }
+
     pub(crate) fn slots(&self) -> usize {
         self.colour.len() + usize::from(self.alpha.is_some())
     }
@@ -223,8 +240,8 @@ fn choose(headers: &[Header], path: &Path) -> Result<(usize, Roles)> {
             }
         }
     }
-    match headers.iter().position(|h| h.channels.list.len() == 1) {
-        Some(i) => Ok((i, Roles { colour: vec![0], alpha: None, luma_chroma: false })),
+    match headers.iter().enumerate().find_map(|(i, h)| Some((i, Roles::lone(h)?))) {
+        Some(found) => Ok(found),
         None => {
             let names = headers.iter().flat_map(|h| &h.channels.list).map(|c| c.name.to_string());
             let names: Vec<String> = names.take(12).collect();
@@ -252,6 +269,30 @@ pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take:
             }
         }
     }
+}
+
+/// The part called `layer`, or the part with channels that have `layer` and a dot in front.
+fn choose_layer(headers: &[Header], layer: &str, path: &Path) -> Result<(usize, Roles)> {
+    let prefix = format!("{layer}.");
+    let named = |h: &Header| h.own_attributes.layer_name.as_ref().is_some_and(|n| n.eq(layer));
+    let found = headers.iter().enumerate().find_map(|(i, header)| {
+        let whole_part = named(header).then(|| Roles::of(header, "").or_else(|| Roles::lone(header)));
+        Some((i, Roles::of(header, &prefix).or_else(|| whole_part.flatten())?))
+    });
+    found.ok_or_else(|| {
+        let mut names: Vec<String> = headers
+            .iter()
+            .flat_map(|h| {
+                let channels = h.channels.list.iter();
+                let layers = channels.filter_map(|c| Some(c.name.to_string().rsplit_once('.')?.0.to_owned()));
+                layers.chain(h.own_attributes.layer_name.as_ref().map(ToString::to_string))
+            })
+            .collect();
+        names.sort();
+        names.dedup();
+        let known = if names.is_empty() { "it has none".to_owned() } else { format!("it has {}", names.join(", ")) };
+        Error::Mismatch(format!("{}: no layer '{layer}' with colour; {known}", path.display()))
+    })
 }
 
 /// Chunks that are read before they are decompressed together.

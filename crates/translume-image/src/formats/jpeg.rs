@@ -32,6 +32,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: channels as usize,
         samples: Samples::U8(samples),
         transfer: Transfer::Srgb,
+        associated: true,
         orientation,
         metadata,
     })

@@ -22,6 +22,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: channels as usize,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: Orientation::default(),
         metadata: Metadata::default(),
     })

@@ -47,7 +47,16 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         }
         _ => Transfer::Srgb,
     };
-    Ok(Raster { width: size.0 as usize, height: size.1 as usize, channels, samples, transfer, orientation, metadata })
+    Ok(Raster {
+        width: size.0 as usize,
+        height: size.1 as usize,
+        channels,
+        samples,
+        transfer,
+        associated: false,
+        orientation,
+        metadata,
+    })
 }
 
 /// Writes 8-bit sRGB, `3 * width * height` values.

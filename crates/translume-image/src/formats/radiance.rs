@@ -32,6 +32,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: 3,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: header.orientation,
         metadata: Metadata { chromaticities: header.primaries.filter(|_| !header.xyz), ..Metadata::default() },
     })
