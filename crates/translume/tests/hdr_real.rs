@@ -4,7 +4,7 @@ mod common;
 
 use common::translume;
 use serde_json::Value;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tempfile::tempdir;
 use translume_image::{metrics, read_picture};
 
@@ -17,10 +17,10 @@ fn capture(name: &str) -> Option<PathBuf> {
     found
 }
 
-fn merge(folder: &PathBuf, out: &PathBuf, more: &[&str]) -> Value {
+fn merge(folder: &Path, out: &Path, more: &[&str]) -> Value {
     let (folder, out) = (folder.to_str().unwrap(), out.to_str().unwrap());
     let arguments = [&["hdr", folder, "-o", out, "--json"], more].concat();
-    serde_json::from_str(&translume(std::path::Path::new("."), &arguments).ok()).unwrap()
+    serde_json::from_str(&translume(Path::new("."), &arguments).ok()).unwrap()
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn the_memorial_church_comes_near_the_published_merge() {
     let dir = tempdir().unwrap();
     let out = dir.path().join("out.exr");
     merge(&folder, &out, &["--list", folder.join("exposures.csv").to_str().unwrap()]);
-    let inner = |path: &PathBuf| -> Vec<f32> {
+    let inner = |path: &Path| -> Vec<f32> {
         let pixels = read_picture(path).unwrap().pixels;
         assert_eq!(pixels.dimensions(), (512, 768));
         // The scans have a border at the sides.
