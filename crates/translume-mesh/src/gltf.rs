@@ -1,18 +1,19 @@
 //! glTF 2.0 and GLB (Khronos specification 2.0): buffers, accessors, primitives, the node tree.
 //!
-//! [`Asset`] keeps the JSON document (types of the `gltf-json` crate) beside the buffers' bytes, so that a scene front
-//! end can read materials, lights and cameras from the same parse. All accesses are checked against the buffers here.
-//! Draco and meshopt compression are refused; images are not decoded.
+//! [`Asset`] keeps the typed part of the document that geometry needs ([`document`]) beside the whole as JSON, so that a
+//! scene front end can read materials, lights and cameras from the same parse, and the buffers' bytes. Nothing is
+//! checked before it is used: a file whose animations are damaged still gives its meshes. Draco and meshopt compression
+//! are refused; images are not decoded; skins are left in their bind pose and morph targets at rest.
+
+pub mod document;
 
 use crate::error::{Error, Fault, Result, invalid};
 use crate::files::{Loaded, Part};
 use crate::mesh::TriMesh;
 use base64::Engine;
+use document::{Document, Node, Primitive, Sparse};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
-pub use gltf::json;
-use json::accessor::{ComponentType, Type};
-use json::mesh::Mode;
-use json::validation::{Checked, Validate};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 type Parsed<T> = std::result::Result<T, Fault>;
@@ -21,10 +22,12 @@ type Parsed<T> = std::result::Result<T, Fault>;
 pub struct Asset {
     /// Where it came from.
     pub path: PathBuf,
-    /// The document; every index in it is in range.
-    pub root: json::Root,
-    /// Bytes of each buffer, at least as many as the document says.
-    pub buffers: Vec<Vec<u8>>,
+    /// Scenes, nodes, meshes, accessors and buffers. Indices in it are not checked.
+    pub document: Document,
+    /// The whole document.
+    pub json: serde_json::Value,
+    /// Bytes of each buffer, at least as many as the document says, or why they are not there.
+    buffers: Vec<std::result::Result<Vec<u8>, String>>,
 }
 
 /// A node that carries a mesh.
@@ -40,6 +43,9 @@ pub struct Placed {
 
 /// A small file can place a mesh many times over; flattening stops there.
 const LARGEST_FLATTENED: u64 = 1 << 27;
+
+/// Buffers without data up to this many bytes are read as zeros.
+const LARGEST_PLACEHOLDER: u64 = 1 << 24;
 
 /// Required extensions that do not change the geometry, or that are dealt with here.
 const KNOWN_EXTENSIONS: [&str; 21] = [
@@ -81,31 +87,36 @@ impl Asset {
     /// # Errors
     /// As [`Asset::open`].
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
-        let (json, binary) = split(bytes).map_err(|fault| fault.at(path))?;
+        let is_glb = bytes.starts_with(b"glTF");
+        let (json, mut binary) = split(bytes).map_err(|fault| fault.at(path))?;
         let text = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&json);
-        let root = json::Root::from_slice(text).map_err(|e| Error::invalid(path, format!("JSON: {e}")))?;
-        check(&root).map_err(|fault| fault.at(path))?;
-        let mut asset = Self { path: path.to_owned(), root, buffers: Vec::new() };
-        asset.load_buffers(binary)?;
+        let parsed = |e: serde_json::Error| Error::invalid(path, format!("JSON: {e}"));
+        let document: Document = serde_json::from_slice(text).map_err(parsed)?;
+        let json = serde_json::from_slice(text).map_err(parsed)?;
+        check(&document).map_err(|fault| fault.at(path))?;
+        let mut asset = Self { path: path.to_owned(), document, json, buffers: Vec::new() };
+        asset.buffers = (0..asset.document.buffers.len()).map(|i| asset.load_buffer(i, is_glb, &mut binary)).collect();
         Ok(asset)
     }
 
-    fn load_buffers(&mut self, mut binary: Option<Vec<u8>>) -> Result<()> {
-        for (i, buffer) in self.root.buffers.iter().enumerate() {
-            let bytes = match buffer.uri.as_deref() {
-                Some(uri) => self.resolve(uri)?,
-                None if i == 0 => {
-                    binary.take().ok_or_else(|| Error::invalid(&self.path, "buffer 0 has neither URI nor BIN chunk"))?
-                }
-                None => return Err(Error::invalid(&self.path, format!("buffer {i} has no URI"))),
-            };
-            if (bytes.len() as u64) < buffer.byte_length.0 {
-                let (there, wanted) = (bytes.len(), buffer.byte_length.0);
-                return Err(Error::invalid(&self.path, format!("buffer {i} should hold {wanted} bytes, has {there}")));
-            }
-            self.buffers.push(bytes);
+    fn load_buffer(
+        &self,
+        index: usize,
+        is_glb: bool,
+        binary: &mut Option<Vec<u8>>,
+    ) -> std::result::Result<Vec<u8>, String> {
+        let buffer = &self.document.buffers[index];
+        let bytes = match buffer.uri.as_deref() {
+            Some(uri) => self.resolve(uri).map_err(|e| e.to_string())?,
+            None if is_glb && index == 0 => binary.take().ok_or("there is no BIN chunk")?,
+            // The format allows a placeholder, whose content is left to the application.
+            None if buffer.byte_length.0 <= LARGEST_PLACEHOLDER => vec![0; buffer.byte_length.get()],
+            None => return Err("it has neither a URI nor a BIN chunk".into()),
+        };
+        match bytes.len() as u64 {
+            n if n < buffer.byte_length.0 => Err(format!("it should hold {} bytes, has {n}", buffer.byte_length.0)),
+            _ => Ok(bytes),
         }
-        Ok(())
     }
 
     /// The bytes behind a URI: data, or a file beside this one.
@@ -114,9 +125,12 @@ impl Asset {
     /// [`Error::Invalid`] for damaged base64, [`Error::Unsupported`] for network addresses, [`Error::Io`].
     pub fn resolve(&self, uri: &str) -> Result<Vec<u8>> {
         if let Some(data) = uri.strip_prefix("data:") {
-            let Some((_, data)) = data.split_once(";base64,") else {
-                return Err(Error::unsupported(&self.path, "a data URI that is not base64"));
+            let Some((kind, data)) = data.split_once(',') else {
+                return Err(Error::invalid(&self.path, "a data URI without data"));
             };
+            if !kind.ends_with(";base64") {
+                return Ok(percent_decoded(data));
+            }
             let engine = base64::engine::GeneralPurpose::new(
                 &base64::alphabet::STANDARD,
                 base64::engine::GeneralPurposeConfig::new()
@@ -133,7 +147,7 @@ impl Asset {
     /// # Errors
     /// [`Error::Unsupported`] for other schemes and absolute paths.
     pub fn file(&self, uri: &str) -> Result<PathBuf> {
-        let name = percent_decoded(uri);
+        let name = String::from_utf8_lossy(&percent_decoded(uri)).into_owned();
         if uri.contains("://") || Path::new(&name).is_absolute() {
             return Err(Error::unsupported(&self.path, format!("URI {uri:?}: only files beside this one are read")));
         }
@@ -145,34 +159,9 @@ impl Asset {
     /// # Errors
     /// [`Error::Invalid`] naming mesh, primitive and attribute.
     pub fn primitive(&self, mesh: usize, primitive: usize) -> Result<Option<TriMesh>> {
-        let read = || -> Parsed<Option<TriMesh>> {
-            let Some(p) = self.root.meshes.get(mesh).and_then(|m| m.primitives.get(primitive)) else {
-                return invalid("there is no such primitive");
-            };
-            let Checked::Valid(mode) = p.mode else { return invalid("unknown mode") };
-            if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
-                return Ok(None);
-            }
-            if p.extensions.as_ref().is_some_and(|e| e.others.contains_key("KHR_draco_mesh_compression")) {
-                return Err(Fault::Unsupported("Draco compression; decompress the file first".into()));
-            }
-            let attribute = |name: json::mesh::Semantic| p.attributes.get(&Checked::Valid(name)).map(|a| a.value());
-            use json::mesh::Semantic::{Colors, Normals, Positions, TexCoords};
-            let Some(positions) = attribute(Positions) else { return Ok(None) };
-            let positions: Vec<[f32; 3]> = self.floats(positions)?;
-            let normals = attribute(Normals).map(|a| self.floats(a)).transpose()?;
-            let mut uvs: Option<Vec<[f32; 2]>> = attribute(TexCoords(0)).map(|a| self.floats(a)).transpose()?;
-            uvs.iter_mut().flatten().for_each(|uv| uv[1] = 1.0 - uv[1]);
-            let colors = attribute(Colors(0)).map(|a| self.floats(a)).transpose()?;
-            let order = match p.indices {
-                Some(accessor) => self.indices(accessor.value())?,
-                None => (0..u32::try_from(positions.len()).unwrap_or(u32::MAX)).collect(),
-            };
-            let mesh = TriMesh { positions, normals, uvs, colors, indices: triangles(mode, &order) };
-            match mesh.fault() {
-                Some(fault) => invalid(fault),
-                None => Ok(Some(mesh)),
-            }
+        let read = || match self.document.meshes.get(mesh).and_then(|m| m.primitives.get(primitive)) {
+            Some(p) => self.triangles(p),
+            None => invalid("there is no such primitive"),
         };
         read().map_err(|fault| {
             let place = |what| format!("mesh {mesh}, primitive {primitive}: {what}");
@@ -183,34 +172,67 @@ impl Asset {
         })
     }
 
+    fn triangles(&self, p: &Primitive) -> Parsed<Option<TriMesh>> {
+        let mode = p.mode.map_or(4, |m| m.0);
+        if mode > 6 {
+            return invalid(format!("unknown mode {mode}"));
+        }
+        let Some(positions) = p.attributes.get("POSITION").filter(|_| mode >= 4) else { return Ok(None) };
+        if p.extensions.contains_key("KHR_draco_mesh_compression") {
+            return Err(Fault::Unsupported("Draco compression; decompress the file first".into()));
+        }
+        let positions: Vec<[f32; 3]> = self.floats(positions.get())?;
+        let normals = p.attributes.get("NORMAL").map(|a| self.floats(a.get())).transpose()?;
+        let mut uvs: Option<Vec<[f32; 2]>> =
+            p.attributes.get("TEXCOORD_0").map(|a| self.floats(a.get())).transpose()?;
+        uvs.iter_mut().flatten().for_each(|uv| uv[1] = 1.0 - uv[1]);
+        let colors = p.attributes.get("COLOR_0").map(|a| self.floats(a.get())).transpose()?;
+        let order = match p.indices {
+            Some(accessor) => self.indices(accessor.get())?,
+            None => (0..u32::try_from(positions.len()).unwrap_or(u32::MAX)).collect(),
+        };
+        let mesh = TriMesh { positions, normals, uvs, colors, indices: triangles(mode, &order) };
+        match mesh.fault() {
+            Some(fault) => invalid(fault),
+            None => Ok(Some(mesh)),
+        }
+    }
+
     /// The nodes with meshes of the default scene (all root nodes when the file has no scene), in depth-first order.
     ///
     /// # Errors
     /// [`Error::Invalid`] when a node is its own ancestor or has two parents.
     pub fn placed(&self) -> Result<Vec<Placed>> {
-        let nodes = &self.root.nodes;
-        let scene = self.root.scene.map_or(0, |s| s.value());
-        let roots: Vec<usize> = match self.root.scenes.get(scene) {
-            Some(scene) => scene.nodes.iter().map(|n| n.value()).collect(),
+        let nodes = &self.document.nodes;
+        let roots: Vec<usize> = match self.document.scenes.get(self.document.scene.map_or(0, |s| s.get())) {
+            Some(scene) => scene.nodes.iter().map(|n| n.get()).collect(),
+            None if self.document.scene.is_some() => {
+                return Err(Error::invalid(&self.path, "the default scene is missing"));
+            }
             None => {
-                let mut is_child = vec![false; nodes.len()];
-                nodes.iter().flat_map(|n| n.children.iter().flatten()).for_each(|c| is_child[c.value()] = true);
-                (0..nodes.len()).filter(|&i| !is_child[i]).collect()
+                let children: std::collections::HashSet<usize> =
+                    nodes.iter().flat_map(|n| &n.children).map(|c| c.get()).collect();
+                (0..nodes.len()).filter(|i| !children.contains(i)).collect()
             }
         };
         let mut stack: Vec<(usize, DAffine3)> = roots.iter().rev().map(|&n| (n, DAffine3::IDENTITY)).collect();
         let mut seen = vec![false; nodes.len()];
         let mut placed = Vec::new();
-        while let Some((node, world_from_parent)) = stack.pop() {
-            if std::mem::replace(&mut seen[node], true) {
-                return Err(Error::invalid(&self.path, format!("node {node} is reached twice: the nodes are no tree")));
+        while let Some((index, world_from_parent)) = stack.pop() {
+            let Some(node) = nodes.get(index) else {
+                return Err(Error::invalid(&self.path, format!("there is no node {index}")));
+            };
+            if std::mem::replace(&mut seen[index], true) {
+                return Err(Error::invalid(
+                    &self.path,
+                    format!("node {index} is reached twice: the nodes are no tree"),
+                ));
             }
-            let world_from_node = world_from_parent * local_transform(&nodes[node]);
-            if let Some(mesh) = nodes[node].mesh {
-                placed.push(Placed { node, mesh: mesh.value(), world_from_node });
+            let world_from_node = world_from_parent * node.local_transform();
+            if let Some(mesh) = node.mesh {
+                placed.push(Placed { node: index, mesh: mesh.get(), world_from_node });
             }
-            let children = nodes[node].children.iter().flatten().rev();
-            stack.extend(children.map(|c| (c.value(), world_from_node)));
+            stack.extend(node.children.iter().rev().map(|c| (c.get(), world_from_node)));
         }
         Ok(placed)
     }
@@ -222,11 +244,17 @@ impl Asset {
     /// into more than 2^27 vertices.
     pub fn flatten(&self) -> Result<Loaded> {
         let mut loaded = Loaded::default();
-        let (mut vertices, mut left_out) = (0_u64, 0);
+        let (mut vertices, mut left_out, mut skinned) = (0_u64, 0, 0);
         for Placed { node, mesh, world_from_node } in self.placed()? {
-            let json_mesh = &self.root.meshes[mesh];
-            let name = self.root.nodes[node].name.as_ref().or(json_mesh.name.as_ref());
-            for (i, primitive) in json_mesh.primitives.iter().enumerate() {
+            let Some(source) = self.document.meshes.get(mesh) else {
+                return Err(Error::invalid(
+                    &self.path,
+                    format!("node {node} asks for mesh {mesh}, which is not there"),
+                ));
+            };
+            let name = self.document.nodes[node].name.as_ref().or(source.name.as_ref());
+            skinned += usize::from(self.document.nodes[node].skin.is_some());
+            for (i, primitive) in source.primitives.iter().enumerate() {
                 let Some(mut part) = self.primitive(mesh, i)? else {
                     left_out += 1;
                     continue;
@@ -237,10 +265,10 @@ impl Asset {
                     return Err(Error::unsupported(&self.path, what));
                 }
                 part.transform(&world_from_node);
-                let material = primitive.material.and_then(|m| self.root.materials.get(m.value()));
+                let material = primitive.material.and_then(|m| self.json["materials"][m.get()]["name"].as_str());
                 loaded.parts.push(Part {
                     name: name.cloned().unwrap_or_else(|| format!("mesh {mesh}")),
-                    material: material.and_then(|m| m.name.clone()),
+                    material: material.map(str::to_owned),
                     flat: false,
                     mesh: part,
                 });
@@ -248,6 +276,9 @@ impl Asset {
         }
         if left_out > 0 {
             loaded.warnings.push(format!("{left_out} primitives of points, lines or no positions were left out"));
+        }
+        if skinned > 0 {
+            loaded.warnings.push(format!("{skinned} skinned meshes are left in their bind pose"));
         }
         Ok(loaded)
     }
@@ -266,12 +297,12 @@ impl Asset {
         if rows.components < N {
             return invalid(format!("accessor {index} has {} components instead of {N}", rows.components));
         }
-        let normalized = self.root.accessors[index].normalized;
-        let size = component_size(rows.kind);
+        let normalized = self.document.accessors[index].normalized;
+        let size = rows.kind.size();
         Ok((0..rows.count)
             .map(|i| {
                 let row = rows.row(i);
-                std::array::from_fn(|j| component(rows.kind, normalized, &row[j * size..]))
+                std::array::from_fn(|j| rows.kind.component(normalized, &row[j * size..]))
             })
             .collect())
     }
@@ -281,9 +312,9 @@ impl Asset {
         if rows.components != 1 {
             return invalid(format!("accessor {index} holds indices and is not SCALAR"));
         }
-        let size = component_size(rows.kind);
+        let size = rows.kind.size();
         match rows.kind {
-            ComponentType::U8 | ComponentType::U16 | ComponentType::U32 => {}
+            Kind::U8 | Kind::U16 | Kind::U32 => {}
             _ => return invalid(format!("accessor {index} holds indices that are no unsigned integers")),
         }
         Ok((0..rows.count).map(|i| little_endian(&rows.row(i)[..size])).collect())
@@ -291,25 +322,20 @@ impl Asset {
 
     /// Checks an accessor against its buffers and gives its rows, sparse values put in.
     fn rows(&self, index: usize) -> Parsed<Rows<'_>> {
-        let Some(accessor) = self.root.accessors.get(index) else { return invalid(format!("no accessor {index}")) };
-        let (Checked::Valid(kind), Checked::Valid(shape)) = (accessor.component_type, accessor.type_) else {
-            return invalid(format!("accessor {index} has an unknown type"));
+        let Some(accessor) = self.document.accessors.get(index) else { return invalid(format!("no accessor {index}")) };
+        let kind = Kind::of(accessor.component_type.0)
+            .ok_or_else(|| Fault::Invalid(format!("accessor {index} has an unknown component type")))?;
+        let components = match accessor.shape.as_str() {
+            "SCALAR" => 1,
+            "VEC2" => 2,
+            "VEC3" => 3,
+            "VEC4" => 4,
+            other => return invalid(format!("accessor {index} is of type {other:?}, not a scalar or vector")),
         };
-        let kind = kind.0;
-        let (components, size) = (shape.multiplicity(), shape.multiplicity() * component_size(kind));
-        if !matches!(shape, Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4) {
-            return invalid(format!("accessor {index} holds matrices"));
-        }
-        let count = accessor.count.0;
-        let offset = accessor.byte_offset.map_or(0, |o| o.0);
-        let dense = match accessor.buffer_view {
-            Some(view) => Some(self.view(view.value(), offset, count, size, index)?),
-            None => None,
-        };
-        let sparse = match &accessor.sparse {
-            Some(s) => Some(self.sparse_rows(s, count, size, index)?),
-            None => None,
-        };
+        let (count, size) = (accessor.count.0, components * kind.size());
+        let offset = accessor.byte_offset.0;
+        let dense = accessor.buffer_view.map(|v| self.view(v.get(), offset, count, size, index)).transpose()?;
+        let sparse = accessor.sparse.as_ref().map(|s| self.sparse_rows(s, count, size, index)).transpose()?;
         // Zeros without bytes behind them: bound what a header can ask for.
         if dense.is_none() && count > 1 << 24 {
             return invalid(format!("accessor {index} asks for {count} rows without data"));
@@ -318,20 +344,16 @@ impl Asset {
         Ok(Rows { dense, sparse, count, components, kind, zero: [0; 16], size })
     }
 
-    fn sparse_rows(
-        &self,
-        sparse: &json::accessor::sparse::Sparse,
-        count: u64,
-        size: usize,
-        index: usize,
-    ) -> Parsed<std::collections::HashMap<u32, &[u8]>> {
-        let (at, values) = (&sparse.indices, &sparse.values);
-        let Checked::Valid(kind) = at.component_type else { return invalid("sparse indices of unknown type") };
-        let width = component_size(kind.0);
+    fn sparse_rows(&self, sparse: &Sparse, count: u64, size: usize, index: usize) -> Parsed<HashMap<u32, &[u8]>> {
+        let (at, from) = (&sparse.indices, &sparse.values);
+        let width = match at.component_type.map(|t| Kind::of(t.0)) {
+            Some(Some(kind @ (Kind::U8 | Kind::U16 | Kind::U32))) => kind.size(),
+            _ => return invalid(format!("accessor {index} has sparse indices that are no unsigned integers")),
+        };
         let n = sparse.count.0;
-        let keys = self.view(at.buffer_view.value(), at.byte_offset.0, n, width, index)?;
-        let values = self.view(values.buffer_view.value(), values.byte_offset.0, n, size, index)?;
-        let mut rows = std::collections::HashMap::new();
+        let keys = self.view(at.buffer_view.get(), at.byte_offset.0, n, width, index)?;
+        let values = self.view(from.buffer_view.get(), from.byte_offset.0, n, size, index)?;
+        let mut rows = HashMap::new();
         for i in 0..n as usize {
             let key = little_endian(&keys.bytes[i * keys.stride..][..width]);
             if u64::from(key) >= count {
@@ -345,18 +367,24 @@ impl Asset {
     /// `count` rows of `size` bytes from `offset` in buffer view `view`, checked.
     fn view(&self, view: usize, offset: u64, count: u64, size: usize, accessor: usize) -> Parsed<View<'_>> {
         let beyond = || Fault::Invalid(format!("accessor {accessor} reaches beyond its buffer view"));
-        let v = self.root.buffer_views.get(view).ok_or_else(beyond)?;
-        if v.extensions.as_ref().is_some_and(|e| e.others.contains_key("EXT_meshopt_compression")) {
+        let v = self.document.buffer_views.get(view).ok_or_else(beyond)?;
+        if v.extensions.contains_key("EXT_meshopt_compression") {
             return Err(Fault::Unsupported("meshopt compression; decompress the file first".into()));
         }
-        let begin = v.byte_offset.map_or(0, |o| o.0);
+        let begin = v.byte_offset.0;
         let end = begin.checked_add(v.byte_length.0).ok_or_else(beyond)?;
-        let buffer = self.buffers.get(v.buffer.value()).ok_or_else(beyond)?;
+        let buffer = match self.buffers.get(v.buffer.get()) {
+            Some(Ok(bytes)) => bytes,
+            Some(Err(why)) => return invalid(format!("buffer {}: {why}", v.buffer.get())),
+            None => {
+                return invalid(format!("buffer view {view} asks for buffer {}, which is not there", v.buffer.get()));
+            }
+        };
         let range = usize::try_from(begin).ok().zip(usize::try_from(end).ok());
         let bytes = range
             .and_then(|(b, e)| buffer.get(b..e))
             .ok_or_else(|| Fault::Invalid(format!("buffer view {view} reaches beyond the end of its buffer")))?;
-        let stride = v.byte_stride.map_or(size, |s| s.0);
+        let stride = v.byte_stride.map_or(size, |s| s.get());
         if stride < size {
             return invalid(format!("buffer view {view} has stride {stride}, its rows need {size} bytes"));
         }
@@ -379,10 +407,10 @@ struct View<'a> {
 
 struct Rows<'a> {
     dense: Option<View<'a>>,
-    sparse: Option<std::collections::HashMap<u32, &'a [u8]>>,
+    sparse: Option<HashMap<u32, &'a [u8]>>,
     count: usize,
     components: usize,
-    kind: ComponentType,
+    kind: Kind,
     zero: [u8; 16],
     size: usize,
 }
@@ -399,52 +427,81 @@ impl Rows<'_> {
     }
 }
 
-fn component_size(kind: ComponentType) -> usize {
-    kind.size()
+/// Component types, by their numbers in the format.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    I8,
+    U8,
+    I16,
+    U16,
+    U32,
+    F32,
+}
+
+impl Kind {
+    fn of(number: u64) -> Option<Self> {
+        Some(match number {
+            5120 => Self::I8,
+            5121 => Self::U8,
+            5122 => Self::I16,
+            5123 => Self::U16,
+            5125 => Self::U32,
+            5126 => Self::F32,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+        }
+    }
+
+    /// One component as a float (specification, "Animations", for the normalised mapping).
+    fn component(self, normalized: bool, raw: &[u8]) -> f32 {
+        let bits = little_endian(&raw[..self.size()]);
+        let (value, scale) = match self {
+            Self::F32 => return f32::from_bits(bits),
+            Self::U8 => (bits as f32, 255.0),
+            Self::U16 => (bits as f32, 65535.0),
+            Self::U32 => (bits as f32, u32::MAX as f32),
+            Self::I8 => (f32::from(bits as u8 as i8), 127.0),
+            Self::I16 => (f32::from(bits as u16 as i16), 32767.0),
+        };
+        if normalized { (value / scale).max(-1.0) } else { value }
+    }
 }
 
 fn little_endian(raw: &[u8]) -> u32 {
     raw.iter().rev().fold(0, |n, &b| n << 8 | u32::from(b))
 }
 
-/// One component as a float (specification, "Animations", for the normalised mapping).
-fn component(kind: ComponentType, normalized: bool, raw: &[u8]) -> f32 {
-    let bits = little_endian(&raw[..component_size(kind)]);
-    let (value, scale) = match kind {
-        ComponentType::F32 => return f32::from_bits(bits),
-        ComponentType::U8 => (bits as f32, 255.0),
-        ComponentType::U16 => (bits as f32, 65535.0),
-        ComponentType::U32 => (bits as f32, u32::MAX as f32),
-        ComponentType::I8 => (f32::from(bits as u8 as i8), 127.0),
-        ComponentType::I16 => (f32::from(bits as u16 as i16), 32767.0),
-    };
-    if normalized { (value / scale).max(-1.0) } else { value }
-}
-
-fn triangles(mode: Mode, order: &[u32]) -> Vec<[u32; 3]> {
+/// Corner triples of modes 4 (triangles), 5 (strip) and 6 (fan).
+fn triangles(mode: u64, order: &[u32]) -> Vec<[u32; 3]> {
     match mode {
-        Mode::TriangleStrip => order
-            .windows(3)
-            .enumerate()
-            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] })
-            .collect(),
-        Mode::TriangleFan => order.windows(2).skip(1).map(|w| [order[0], w[0], w[1]]).collect(),
+        5 => {
+            let turned = |(i, w): (usize, &[u32])| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] };
+            order.windows(3).enumerate().map(turned).collect()
+        }
+        6 => order.windows(2).skip(1).map(|w| [order[0], w[0], w[1]]).collect(),
         _ => order.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
     }
 }
 
-fn local_transform(node: &json::Node) -> DAffine3 {
-    if let Some(m) = node.matrix {
-        return DAffine3::from_mat4(DMat4::from_cols_array(&m.map(f64::from)));
+impl Node {
+    /// The node's own transform.
+    pub fn local_transform(&self) -> DAffine3 {
+        if let Some(m) = &self.matrix {
+            return DAffine3::from_mat4(DMat4::from_cols_array(m));
+        }
+        let rotation = DQuat::from_array(self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
+        let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
+        let scale = DVec3::from(self.scale.unwrap_or([1.0; 3]));
+        let translation = DVec3::from(self.translation.unwrap_or([0.0; 3]));
+        DAffine3::from_scale_rotation_translation(scale, rotation, translation)
     }
-    let vector = |v: Option<[f32; 3]>, default| v.map_or(default, |v| DVec3::from(v.map(f64::from)));
-    let rotation = node.rotation.map_or(DQuat::IDENTITY, |q| DQuat::from_array(q.0.map(f64::from)));
-    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-    DAffine3::from_scale_rotation_translation(
-        vector(node.scale, DVec3::ONE),
-        rotation,
-        vector(node.translation, DVec3::ZERO),
-    )
 }
 
 /// The JSON text and the BIN chunk of a GLB file; a `.gltf` file as it is.
@@ -482,29 +539,21 @@ fn split(bytes: Vec<u8>) -> Parsed<(Vec<u8>, Option<Vec<u8>>)> {
     }
 }
 
-/// Version, required extensions and all indices of the document.
-fn check(root: &json::Root) -> Parsed<()> {
-    let wanted = root.asset.min_version.as_ref().unwrap_or(&root.asset.version);
-    if !wanted.starts_with("2.") || (root.asset.min_version.is_some() && wanted != "2.0") {
-        return Err(Fault::Unsupported(format!("glTF version {wanted}; 2.0 is read")));
+/// Version and required extensions.
+fn check(document: &Document) -> Parsed<()> {
+    let version = document.asset.min_version.as_ref().unwrap_or(&document.asset.version);
+    if !version.starts_with("2.") {
+        return Err(Fault::Unsupported(format!("glTF version {version:?}; version 2 is read")));
     }
-    if let Some(unknown) = root.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str())) {
-        return Err(Fault::Unsupported(format!("the file requires the extension {unknown}, which is not supported")));
-    }
-    let mut first = None;
-    root.validate(root, json::Path::new, &mut |path, error| {
-        // Required extensions were judged above, by what matters for geometry.
-        if !path().as_str().starts_with("extensionsRequired") {
-            first.get_or_insert_with(|| format!("{}: {error}", path()));
+    match document.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str())) {
+        Some(unknown) => {
+            Err(Fault::Unsupported(format!("it requires the extension {unknown}, which is not supported")))
         }
-    });
-    match first {
-        Some(what) => invalid(what),
         None => Ok(()),
     }
 }
 
-fn percent_decoded(uri: &str) -> String {
+fn percent_decoded(uri: &str) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();
     while let [first, tail @ ..] = rest {
@@ -520,5 +569,5 @@ fn percent_decoded(uri: &str) -> String {
             }
         }
     }
-    String::from_utf8_lossy(&bytes).into_owned()
+    bytes
 }

@@ -306,7 +306,7 @@ fn integer(field: &[u8]) -> Option<i64> {
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write(mesh: &TriMesh, out: &mut impl Write) -> std::io::Result<()> {
+pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     for (i, [x, y, z]) in mesh.positions.iter().enumerate() {
         match mesh.colors.as_ref().map(|c| c[i]) {
             Some([r, g, b]) => writeln!(out, "v {x} {y} {z} {r} {g} {b}")?,

@@ -443,7 +443,7 @@ fn faces(source: &mut Source, element: &Element, to: &mut Polygons, warnings: &m
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write(mesh: &TriMesh, out: &mut impl Write) -> std::io::Result<()> {
+pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     write_header(mesh, out)?;
     let floats = |out: &mut dyn Write, values: &[f32]| values.iter().try_for_each(|x| out.write_all(&x.to_le_bytes()));
     for i in 0..mesh.positions.len() {
@@ -465,7 +465,7 @@ pub fn write(mesh: &TriMesh, out: &mut impl Write) -> std::io::Result<()> {
     Ok(())
 }
 
-fn write_header(mesh: &TriMesh, out: &mut impl Write) -> std::io::Result<()> {
+fn write_header(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     let index = if mesh.positions.len() > i32::MAX as usize { "uint" } else { "int" };
     write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.positions.len())?;
     for (there, kind, names) in [

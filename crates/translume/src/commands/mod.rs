@@ -7,6 +7,7 @@
 mod completions;
 mod hdr;
 mod man;
+mod mesh;
 
 use crate::output::Context;
 
@@ -15,6 +16,7 @@ use crate::output::Context;
 #[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
 pub(crate) enum Verb {
     Hdr(hdr::Args),
+    Mesh(mesh::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -24,6 +26,7 @@ impl Verb {
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
             Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Mesh(args) => mesh::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
