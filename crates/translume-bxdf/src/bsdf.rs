@@ -1,8 +1,8 @@
 //! The BSDF at a shading point: flags, samples, the closed set of models and the adapters over them.
 
 use crate::{
-    Conductor, Dielectric, Diffuse, Plastic, Principled, Rgb, RoughConductor, RoughDielectric, RoughPlastic,
-    ThinDielectric, fresnel,
+    Conductor, Dielectric, Diffuse, DiffuseSheet, Plastic, Principled, Rgb, RoughConductor, RoughDielectric,
+    RoughPlastic, ThinDielectric, fresnel,
 };
 use glam::{Vec2, Vec3};
 
@@ -136,6 +136,8 @@ pub enum Model<'a> {
     Null,
     /// See [`Diffuse`].
     Diffuse(Diffuse),
+    /// See [`DiffuseSheet`].
+    DiffuseSheet(DiffuseSheet),
     /// See [`Conductor`].
     Conductor(Conductor),
     /// See [`RoughConductor`].
@@ -208,6 +210,7 @@ impl<'a> Bsdf<'a> {
         let (f, pdf) = match &self.model {
             Model::Null | Model::Conductor(_) | Model::Dielectric(_) | Model::ThinDielectric(_) => (Rgb::ZERO, 0.0),
             Model::Diffuse(m) => m.eval_pdf(wo, wi),
+            Model::DiffuseSheet(m) => m.eval_pdf(wo, wi),
             Model::RoughConductor(m) => m.eval_pdf(wo, wi),
             Model::RoughDielectric(m) => m.eval_pdf(wo, wi, mode),
             Model::Plastic(m) => m.eval_pdf(wo, wi),
@@ -234,6 +237,7 @@ impl<'a> Bsdf<'a> {
         let mut sample = match &self.model {
             Model::Null => Some(Sample::pass_through(wo, Rgb::ONE, 1.0)),
             Model::Diffuse(m) => m.sample(wo, u),
+            Model::DiffuseSheet(m) => m.sample(wo, u_lobe, u),
             Model::Conductor(m) => m.sample(wo),
             Model::RoughConductor(m) => m.sample(wo, u),
             Model::Dielectric(m) => m.sample(wo, u_lobe, mode),
@@ -259,6 +263,7 @@ impl<'a> Bsdf<'a> {
         let flags = match &self.model {
             Model::Null => null,
             Model::Diffuse(_) => Diffuse::FLAGS,
+            Model::DiffuseSheet(_) => DiffuseSheet::FLAGS,
             Model::Conductor(_) => Conductor::FLAGS,
             Model::RoughConductor(_) => RoughConductor::FLAGS,
             Model::Dielectric(_) => Dielectric::FLAGS,
@@ -290,6 +295,7 @@ impl<'a> Bsdf<'a> {
         match &self.model {
             Model::Null => Rgb::ONE,
             Model::Diffuse(m) => m.reflectance,
+            Model::DiffuseSheet(m) => m.reflectance + m.transmittance,
             Model::Conductor(m) => m.fresnel(1.0),
             Model::RoughConductor(m) => m.metal.fresnel(1.0),
             Model::Dielectric(m) => mix_by_fresnel(m.eta, m.specular_reflectance, m.specular_transmittance),
@@ -315,7 +321,7 @@ macro_rules! bsdf_from {
     )+};
 }
 
-bsdf_from!(Diffuse: Diffuse, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
+bsdf_from!(Diffuse: Diffuse, DiffuseSheet: DiffuseSheet, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
 bsdf_from!(ThinDielectric: ThinDielectric, RoughDielectric: RoughDielectric, Plastic: Plastic);
 bsdf_from!(RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
 

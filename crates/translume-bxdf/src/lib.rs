@@ -35,7 +35,7 @@ mod rough_plastic;
 pub use bsdf::{Blend, Bsdf, Custom, CustomBsdf, Flags, Mode, Model, Sample};
 pub use conductor::{Conductor, RoughConductor};
 pub use dielectric::{Dielectric, ThinDielectric};
-pub use diffuse::Diffuse;
+pub use diffuse::{Diffuse, DiffuseSheet};
 pub use ior::{AIR, BK7, POLYPROPYLENE, ior_by_name};
 pub use metals::{METAL_NAMES, metal_by_name};
 pub use microfacet::{Distribution, Microfacets};

@@ -153,7 +153,7 @@ fn visible_slope_beckmann(tan: f32, u: f32) -> f32 {
         let next = if next >= lo && next <= hi { next } else { 0.5 * (lo + hi) }.clamp(-0.999_999, 0.999_999);
         let step = (next - x).abs();
         x = next;
-        if step < 1e-6 {
+        if step < 1e-5 {
             break;
         }
     }
