@@ -203,7 +203,10 @@ impl Reader {
         self.open.push(name);
         let root = self.file(&path, &text)?;
         self.open.pop();
-        if root.tag == "scene" { out.extend(root.children) } else { out.push(root) }
+        match root.tag.as_str() {
+            "scene" => out.extend(root.children),
+            _ => out.push(root),
+        }
         Ok(())
     }
 

@@ -8,6 +8,7 @@ mod completions;
 mod hdr;
 mod man;
 mod mesh;
+mod scene;
 
 use crate::output::Context;
 
@@ -17,6 +18,7 @@ use crate::output::Context;
 pub(crate) enum Verb {
     Hdr(hdr::Args),
     Mesh(mesh::Args),
+    Scene(scene::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -27,6 +29,7 @@ impl Verb {
         match self {
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
+            Self::Scene(args) => scene::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
