@@ -189,7 +189,7 @@ fn global_motion(a: &[Plane], b: &[Plane], name: &str) -> (Affine, f64, f64, Opt
     }
     if moved >= MUST_IMPROVE * unmoved {
         let note = format!("{name}: the best global motion ({most:.1} px) does not improve the match; left as it is");
-        return (IDENTITY, unmoved, unmoved, (most > 1.0).then_some(note));
+        return (IDENTITY, unmoved, unmoved, (most > 1.0 && unmoved > 0.15).then_some(note));
     }
     (m, unmoved, moved, None)
 }

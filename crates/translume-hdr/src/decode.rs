@@ -3,10 +3,10 @@
 use crate::Response;
 use crate::weight::spline;
 
-/// A code at or above this is clipped (sources with a curve).
+/// A code at or above this is clipped, whatever the histogram says (sources with a curve).
 pub(crate) const CLIPPED: f32 = 0.985;
-/// A code at or below this is lost in black.
-pub(crate) const BLACK: f32 = 0.012;
+/// A code at or below this is lost in black: cameras leave a pedestal of several codes, which says nothing of light.
+pub(crate) const BLACK: f32 = 0.035;
 
 /// Bins of the noise table over the encoded range.
 pub(crate) const NOISE_BINS: usize = 16;
@@ -24,8 +24,13 @@ pub(crate) struct Decoder {
 /// What the values of a picture are.
 #[derive(Clone, Debug)]
 pub(crate) enum Kind {
-    /// Codes in [0, 1] through a response curve.
-    Curve(Response),
+    /// Codes in [0, 1] through a response curve, clipped at `clip`.
+    Curve {
+        /// The curve.
+        response: Response,
+        /// The code at which the camera clips, a little below where its histogram piles up.
+        clip: f32,
+    },
     /// Values proportional to exposure, clipped at `clip` (infinite if they are not).
     Float {
         /// The value at which the picture is clipped.
@@ -37,6 +42,8 @@ pub(crate) enum Kind {
 
 /// Float values below this share of full range are black.
 const FLOAT_FLOOR: f32 = 2e-4;
+/// Further uncertainty of codes above 0.9, downwards, per unit of code.
+const SHOULDER: f32 = 0.8;
 /// Exponent of the display-like scale of float values.
 const GAMMA: f32 = 2.2;
 
@@ -45,7 +52,7 @@ impl Decoder {
     #[inline]
     pub(crate) fn log_exposure(&self, channel: usize, u: f32) -> f32 {
         match &self.kind {
-            Kind::Curve(response) => response.log_exposure(channel, u),
+            Kind::Curve { response, .. } => response.log_exposure(channel, u),
             Kind::Float { full, .. } => u.max(full * 1e-6).ln(),
         }
     }
@@ -54,7 +61,7 @@ impl Decoder {
     #[inline]
     pub(crate) fn encoded(&self, u: f32) -> f32 {
         match self.kind {
-            Kind::Curve(_) => u,
+            Kind::Curve { .. } => u,
             Kind::Float { full, .. } => (u / full).clamp(0.0, 1.0).powf(1.0 / GAMMA),
         }
     }
@@ -63,7 +70,7 @@ impl Decoder {
     #[inline]
     pub(crate) fn is_clipped(&self, u: f32) -> bool {
         match self.kind {
-            Kind::Curve(_) => u >= CLIPPED,
+            Kind::Curve { clip, .. } => u >= clip,
             Kind::Float { clip, .. } => u >= clip * 0.999,
         }
     }
@@ -72,7 +79,7 @@ impl Decoder {
     #[inline]
     pub(crate) fn is_black(&self, u: f32) -> bool {
         match self.kind {
-            Kind::Curve(_) => u <= BLACK,
+            Kind::Curve { .. } => u <= BLACK,
             Kind::Float { full, .. } => u <= full * FLOAT_FLOOR,
         }
     }
@@ -81,10 +88,12 @@ impl Decoder {
     #[inline]
     pub(crate) fn interval(&self, channel: usize, low: f32, high: f32) -> (f32, f32) {
         match &self.kind {
-            Kind::Curve(response) => {
-                let (low, high) = (low.min(CLIPPED) - self.blur_at(low), high + self.blur_at(high));
+            Kind::Curve { response, clip } => {
+                // Cameras compress highlights near the end of the range by more than any one curve.
+                let shoulder = SHOULDER * (low - (clip - 0.085)).max(0.0);
+                let (low, high) = (low.min(*clip) - self.blur_at(low) - shoulder, high + self.blur_at(high));
                 let lo = if low <= BLACK { f32::NEG_INFINITY } else { response.log_exposure(channel, low) };
-                let hi = if high >= CLIPPED { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
+                let hi = if high >= *clip { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
                 (lo, hi)
             }
             Kind::Float { clip, full } => {
@@ -108,7 +117,9 @@ impl Decoder {
     /// Log exposures between which the picture tells scene points apart; infinite at the top of an unclipped picture.
     pub(crate) fn useful_range(&self, channel: usize) -> (f32, f32) {
         match &self.kind {
-            Kind::Curve(response) => (response.log_exposure(channel, 0.03), response.log_exposure(channel, 0.965)),
+            Kind::Curve { response, clip } => {
+                (response.log_exposure(channel, 0.03), response.log_exposure(channel, clip - 0.02))
+            }
             Kind::Float { clip, full } => {
                 ((full * 4e-3).ln(), if clip.is_finite() { (clip * 0.97).ln() } else { f32::INFINITY })
             }
@@ -118,7 +129,7 @@ impl Decoder {
     /// Log exposure of full range.
     pub(crate) fn full_range(&self, channel: usize) -> f32 {
         match &self.kind {
-            Kind::Curve(response) => response.log_exposure(channel, 1.0),
+            Kind::Curve { response, .. } => response.log_exposure(channel, 1.0),
             Kind::Float { full, .. } => full.ln(),
         }
     }

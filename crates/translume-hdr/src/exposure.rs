@@ -1,6 +1,6 @@
 //! One picture of a bracket: its codes, its relative exposure and the part of it that is picture.
 
-use crate::decode::{Decoder, Kind, NOISE_BINS};
+use crate::decode::{CLIPPED, Decoder, Kind, NOISE_BINS};
 use crate::{Error, Response, Result};
 use translume_image::{Codes, Samples};
 
@@ -20,8 +20,6 @@ pub(crate) struct Shot<'a> {
     pub(crate) name: &'a str,
     pub(crate) codes: &'a Codes,
     pub(crate) log_secs: f32,
-    /// What response and exposure may be off against the neighbour in exposure, in ln units.
-    pub(crate) tolerance: f32,
     /// `true` where the pixel is border, not picture.
     pub(crate) border: Option<Vec<bool>>,
     pub(crate) decoder: Decoder,
@@ -55,14 +53,14 @@ impl Shot<'_> {
     /// The response, of sources that have one.
     pub(crate) fn response(&self) -> Option<&Response> {
         match &self.decoder.kind {
-            Kind::Curve(response) => Some(response),
+            Kind::Curve { response, .. } => Some(response),
             Kind::Float { .. } => None,
         }
     }
 
     /// Sets the response, for sources that have one.
     pub(crate) fn set_response(&mut self, response: &Response) {
-        if let Kind::Curve(r) = &mut self.decoder.kind {
+        if let Kind::Curve { response: r, .. } = &mut self.decoder.kind {
             r.clone_from(response);
         }
     }
@@ -122,7 +120,7 @@ pub fn check(exposures: &[Exposure]) -> Result<()> {
 /// The decoder of a picture before its response is known.
 pub(crate) fn decoder_of(codes: &Codes, response: &Response) -> Decoder {
     let kind = match &codes.samples {
-        Samples::U8(_) | Samples::U16(_) => Kind::Curve(response.clone()),
+        Samples::U8(_) | Samples::U16(_) => Kind::Curve { response: response.clone(), clip: clip_code(codes) },
         Samples::F32(v) => {
             let most = v.iter().copied().fold(0.0f32, f32::max);
             // Clipped pictures pile up at their largest value; a highlight that is the largest by chance does not.
@@ -134,6 +132,36 @@ pub(crate) fn decoder_of(codes: &Codes, response: &Response) -> Decoder {
     let mut decoder = Decoder { kind, blur: [0.0; NOISE_BINS] };
     decoder.blur = blur(codes, &decoder);
     decoder
+}
+
+/// All pictures of a bracket come from one camera: the lowest clip found holds for all.
+pub(crate) fn share_clip(shots: &mut [Shot<'_>]) {
+    let clip_of = |s: &Shot<'_>| match s.decoder.kind {
+        Kind::Curve { clip, .. } => clip,
+        Kind::Float { .. } => CLIPPED,
+    };
+    let lowest = shots.iter().map(clip_of).fold(CLIPPED, f32::min);
+    for s in shots {
+        if let Kind::Curve { clip, .. } = &mut s.decoder.kind {
+            *clip = lowest;
+        }
+    }
+}
+
+/// The code at which a camera clips: two codes below the pile at the top of the histogram, where there is one.
+fn clip_code(codes: &Codes) -> f32 {
+    const FROM: usize = 225;
+    let mut counts = [0usize; 256];
+    let pixels = codes.width * codes.height;
+    let stride = (pixels / 200_000).max(1);
+    for i in (0..pixels).step_by(stride) {
+        let brightest = (0..3).map(|c| codes.unit(3 * i + c)).fold(0.0f32, f32::max);
+        counts[(brightest * 255.0 + 0.5) as usize] += 1;
+    }
+    let top = (FROM..256).max_by_key(|c| counts[*c]).unwrap_or(255);
+    let around: usize = (FROM..256).filter(|c| c.abs_diff(top) > 2).map(|c| counts[c]).sum::<usize>() / 26;
+    let pile = counts[top] > 5 * around.max(1) && counts[top] * 500 > pixels / stride;
+    if pile { CLIPPED.min((top as f32 - 2.5) / 255.0) } else { CLIPPED }
 }
 
 /// Two standard deviations of the green noise per bin of the encoded range, and a rounding step.

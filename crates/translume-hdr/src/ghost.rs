@@ -13,6 +13,7 @@
 use crate::align::Aligned;
 use crate::decode::{Decoder, Kind};
 use crate::exposure::Shot;
+use crate::sampling::Point;
 use crate::warp::{self, Strip};
 use rayon::prelude::*;
 
@@ -27,7 +28,7 @@ pub struct GhostParams {
 
 impl Default for GhostParams {
     fn default() -> Self {
-        Self { correlation: 0.95, gap: (0.015, 0.06) }
+        Self { correlation: 0.95, gap: (0.02, 0.08) }
     }
 }
 
@@ -40,10 +41,75 @@ const ROWS: usize = 48;
 /// Gap beyond which a pixel counts no more.
 const GAP_CAP: f32 = 0.5;
 
+/// What aligned points say of a pair of pictures: by how much the decoded values of one are off from the other's at
+/// each of its codes, and how far they scatter. A response curve never explains a real camera fully (colour matrices,
+/// gamut clipping, local contrast); what the whole picture does is no ghost.
+struct Expectation {
+    /// `[channel][bin]`: (offset, tolerance) in ln units.
+    table: [[(f32, f32); BINS]; 3],
+}
+
+/// Bins of an [`Expectation`] over encoded values.
+const BINS: usize = 32;
+/// Differences beyond this do not count as misfit of the curves.
+const MISFIT: f32 = 0.35;
+
+impl Expectation {
+    /// Of picture `b` against picture `a`.
+    fn new(a: (usize, &Shot<'_>), b: (usize, &Shot<'_>), points: &[Point]) -> Self {
+        let table = std::array::from_fn(|c| {
+            let mut bins: Vec<Vec<f32>> = vec![Vec::new(); BINS];
+            for p in points {
+                let (Some(u), Some(v)) = (p.codes[a.0], p.codes[b.0]) else { continue };
+                let (u, v) = (u[c], v[c]);
+                let usable = |s: &Shot<'_>, u: f32| !s.decoder.is_clipped(u) && !s.decoder.is_black(u);
+                if usable(a.1, u) && usable(b.1, v) {
+                    let l = |s: &Shot<'_>, u: f32| s.decoder.log_exposure(c, u) - s.log_secs;
+                    let difference = l(b.1, v) - l(a.1, u);
+                    if difference.abs() < MISFIT {
+                        bins[bin(b.1, v)].push(difference);
+                    }
+                }
+            }
+            let medians: Vec<Option<(f32, f32)>> = bins.iter_mut().map(|d| median_and_spread(d)).collect();
+            std::array::from_fn(|k| {
+                // A bin without evidence follows the nearest that has some, less sure of it.
+                let nearest = (0..BINS).filter(|j| medians[*j].is_some()).min_by_key(|j| j.abs_diff(k));
+                match nearest.and_then(|j| medians[j].map(|m| (m, j.abs_diff(k)))) {
+                    Some(((offset, spread), far)) => (offset, (0.03 + 1.5 * spread + 0.02 * far as f32).min(0.25)),
+                    None => (0.0, 0.15),
+                }
+            })
+        });
+        Self { table }
+    }
+
+    /// (offset, tolerance) at a value.
+    #[inline]
+    fn at(&self, shot: &Shot<'_>, c: usize, u: f32) -> (f32, f32) {
+        self.table[c][bin(shot, u)]
+    }
+}
+
+fn bin(shot: &Shot<'_>, u: f32) -> usize {
+    ((shot.decoder.encoded(u) * BINS as f32) as usize).min(BINS - 1)
+}
+
+fn median_and_spread(d: &mut [f32]) -> Option<(f32, f32)> {
+    if d.len() < 10 {
+        return None;
+    }
+    let mid = d.len() / 2;
+    let median = *d.select_nth_unstable_by(mid, f32::total_cmp).1;
+    d.iter_mut().for_each(|v| *v = (*v - median).abs());
+    Some((median, 1.4826 * *d.select_nth_unstable_by(mid, f32::total_cmp).1))
+}
+
 /// Confidence per pixel and picture, 0 to 255, in the anchor's frame; `None` for the anchor.
 pub(crate) fn confidences(
     shots: &[Shot<'_>],
     aligned: &[Aligned],
+    points: &[Point],
     order: &[usize],
     anchor: usize,
     params: &GhostParams,
@@ -55,8 +121,10 @@ pub(crate) fn confidences(
     for chain in [longer, shorter] {
         let mut towards: Option<usize> = None;
         for i in chain {
-            let between = towards.map(|j| (j, out[j].as_deref().unwrap_or(&[])));
-            let raw = confidence(shots, aligned, anchor, between, i, params);
+            let expect = |from: usize| Expectation::new((from, &shots[from]), (i, &shots[i]), points);
+            let between = towards.map(|j| Witness { index: j, expectation: expect(j), confidence: out[j].as_deref() });
+            let first = Witness { index: anchor, expectation: expect(anchor), confidence: None };
+            let raw = confidence(shots, aligned, &first, between.as_ref(), i, params);
             out[i] = Some(soften(&raw, shots[i].width(), shots[i].height()));
             towards = Some(i);
         }
@@ -64,12 +132,60 @@ pub(crate) fn confidences(
     out
 }
 
-/// Raw confidence of picture `i`.
+/// A picture that others are held against.
+struct Witness<'a> {
+    index: usize,
+    expectation: Expectation,
+    /// Where it is itself trusted; everywhere, if `None`.
+    confidence: Option<&'a [u8]>,
+}
+
+/// The rows of a [`Witness`] that a strip needs.
+struct Testimony<'a> {
+    shot: &'a Shot<'a>,
+    expectation: &'a Expectation,
+    strip: Strip,
+    confidence: Option<&'a [u8]>,
+}
+
+impl<'a> Witness<'a> {
+    fn rows(&'a self, shots: &'a [Shot<'a>], aligned: &[Aligned], rows: std::ops::Range<usize>) -> Testimony<'a> {
+        let shot = &shots[self.index];
+        let w = shot.width();
+        Testimony {
+            shot,
+            expectation: &self.expectation,
+            confidence: self.confidence.map(|c| &c[rows.start * w..rows.end * w]),
+            strip: warp::strip(shot, &aligned[self.index].field, rows),
+        }
+    }
+}
+
+impl Testimony<'_> {
+    /// Per channel by how much more than expected `codes` of picture `b` contradict this one at pixel (x, y), and
+    /// whether this one leaves an end open. `None` where it does not see the pixel or is not trusted.
+    fn contradicts(&self, b: &Shot<'_>, codes: [f32; 3], x: usize, y: usize) -> Option<[(f32, bool); 3]> {
+        let (w, p) = (self.strip.width, y * self.strip.width + x);
+        if !self.strip.seen[p] || self.confidence.is_some_and(|c| c[p] <= 128) {
+            return None;
+        }
+        let around = neighbourhood(&self.strip, x, y, self.strip.seen.len() / w);
+        Some(std::array::from_fn(|c| {
+            let (offset, tolerance) = self.expectation.at(b, c, codes[c]);
+            let mine = shift(b.decoder.interval(c, codes[c], codes[c]), b.log_secs + offset);
+            let theirs = shift(self.shot.decoder.interval(c, around[c].0, around[c].1), self.shot.log_secs);
+            let open = theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY;
+            ((gap(mine, theirs) - tolerance).max(0.0), open)
+        }))
+    }
+}
+
+/// Raw confidence of picture `i`, by the anchor and, where that is clipped or black, by the picture between them.
 fn confidence(
     shots: &[Shot<'_>],
     aligned: &[Aligned],
-    anchor: usize,
-    between: Option<(usize, &[u8])>,
+    anchor: &Witness<'_>,
+    between: Option<&Witness<'_>>,
     i: usize,
     params: &GhostParams,
 ) -> Vec<u8> {
@@ -79,12 +195,10 @@ fn confidence(
         let (y0, y1) = (k * ROWS, (k * ROWS + rows.len() / w).min(h));
         let (s0, s1) = (y0.saturating_sub(CORRELATION + 1), (y1 + CORRELATION + 1).min(h));
         let picture = warp::strip(&shots[i], &aligned[i].field, s0..s1);
-        let reference = warp::strip(&shots[anchor], &aligned[anchor].field, s0..s1);
-        let stand_in = between
-            .map(|(j, confidence)| (j, warp::strip(&shots[j], &aligned[j].field, s0..s1), &confidence[s0 * w..s1 * w]));
-        let gaps = gaps(shots, anchor, i, &reference, &picture, stand_in.as_ref());
-        let gaps = box_mean(&gaps, w, AVERAGE);
-        let correlations = correlations(&shots[anchor], &shots[i], &reference, &picture);
+        let first = anchor.rows(shots, aligned, s0..s1);
+        let second = between.map(|b| b.rows(shots, aligned, s0..s1));
+        let gaps = box_mean(&gaps(&shots[i], &picture, &first, second.as_ref()), w, AVERAGE);
+        let correlations = correlations(first.shot, &shots[i], &first.strip, &picture);
         for (o, p) in rows.iter_mut().zip((y0 - s0) * w..) {
             let by_gap = 1.0 - smoothstep(params.gap.0, params.gap.1, gaps[p]);
             let by_correlation = smoothstep(params.correlation - 0.03, params.correlation, correlations[p]);
@@ -99,49 +213,22 @@ fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Gap between what two pictures say of each pixel, the largest over the channels, in ln units.
-fn gaps(
-    shots: &[Shot<'_>],
-    anchor: usize,
-    i: usize,
-    reference: &Strip,
-    picture: &Strip,
-    stand_in: Option<&(usize, Strip, &[u8])>,
-) -> Vec<f32> {
-    let (w, n) = (picture.width, picture.seen.len());
-    let rows = n / w;
-    let (a, b) = (&shots[anchor], &shots[i]);
-    let mut out = vec![0.0; n];
-    for y in 0..rows {
-        for x in 0..w {
-            let p = y * w + x;
-            if !picture.seen[p] {
-                continue;
+/// Contradiction per pixel, the largest over the channels, in ln units.
+fn gaps(b: &Shot<'_>, picture: &Strip, first: &Testimony<'_>, second: Option<&Testimony<'_>>) -> Vec<f32> {
+    let w = picture.width;
+    let mut out = vec![0.0f32; picture.seen.len()];
+    for (p, out) in out.iter_mut().enumerate().filter(|(p, _)| picture.seen[*p]) {
+        let (x, y, codes) = (p % w, p / w, picture.pixel(p));
+        let by_first = first.contradicts(b, codes, x, y).unwrap_or([(0.0, true); 3]);
+        let open = by_first.iter().any(|c| c.1);
+        let by_second = second.filter(|_| open).and_then(|s| s.contradicts(b, codes, x, y));
+        for c in 0..3 {
+            *out = out.max(by_first[c].0);
+            if let (true, Some(s)) = (by_first[c].1, by_second) {
+                *out = out.max(s[c].0);
             }
-            let codes = picture.pixel(p);
-            let mut worst = 0.0f32;
-            let known = reference.seen[p];
-            let around = if known { neighbourhood(reference, x, y, rows) } else { [(0.0, 0.0); 3] };
-            for c in 0..3 {
-                let mine = shift(b.decoder.interval(c, codes[c], codes[c]), b.log_secs);
-                let theirs = if known {
-                    shift(a.decoder.interval(c, around[c].0, around[c].1), a.log_secs)
-                } else {
-                    (f32::NEG_INFINITY, f32::INFINITY)
-                };
-                worst = worst.max(gap(mine, theirs));
-                let open = theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY;
-                if let (true, Some((j, strip, confidence))) = (open, stand_in)
-                    && strip.seen[p]
-                    && confidence[p] > 128
-                {
-                    let around = neighbourhood(strip, x, y, rows);
-                    let s = &shots[*j];
-                    worst = worst.max(gap(mine, shift(s.decoder.interval(c, around[c].0, around[c].1), s.log_secs)));
-                }
-            }
-            out[p] = (worst - b.tolerance).clamp(0.0, GAP_CAP);
         }
+        *out = out.min(GAP_CAP);
     }
     out
 }
@@ -222,7 +309,7 @@ impl Table {
     fn new(decoder: &Decoder, f: impl Fn(usize, f32) -> f32) -> Self {
         let tabulate =
             || (0..=Self::SIZE).map(|i| std::array::from_fn(|c| f(c, i as f32 / Self::SIZE as f32))).collect();
-        Self(matches!(decoder.kind, Kind::Curve(_)).then(tabulate))
+        Self(matches!(decoder.kind, Kind::Curve { .. }).then(tabulate))
     }
 
     #[inline]
@@ -274,8 +361,26 @@ pub(crate) fn box_mean(v: &[f32], w: usize, r: usize) -> Vec<f32> {
     out
 }
 
-/// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays.
+/// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays; and places
+/// where accepted and rejected pixels alternate given up as a whole, because a picture is not improved by speckles.
 fn soften(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
+    let mut out = grow(raw, w, h);
+    let broad: Vec<f32> = out.iter().map(|c| f32::from(*c)).collect();
+    let radius = (w.min(h) / 80).clamp(2, 24);
+    let broad = box_mean(&box_mean(&broad, w, radius), w, radius);
+    out.par_iter_mut().zip(broad).for_each(|(o, b)| {
+        let keep = smoothstep(SPECKLED.0, SPECKLED.1, b / 255.0);
+        *o = (f32::from(*o) * keep + 0.5) as u8;
+    });
+    out
+}
+
+/// Share of confidence in a neighbourhood (an eightieth of the picture's shorter side) below which all of it is given
+/// up, and above which none.
+const SPECKLED: (f32, f32) = (0.3, 0.75);
+
+/// Ghosts grown by 3 pixels and feathered.
+fn grow(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
     const GROW: usize = 3;
     let across: Vec<u8> = raw
         .par_chunks(w)

@@ -10,6 +10,7 @@ mod align;
 mod decode;
 mod exposure;
 mod field;
+mod fill;
 mod ghost;
 mod global;
 mod local;
@@ -125,10 +126,10 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
             codes: &e.codes,
             log_secs: e.secs.ln() as f32,
             border: exposure::find_border(&e.codes),
-            tolerance: 0.03,
             decoder: exposure::decoder_of(&e.codes, &start),
         })
         .collect();
+    exposure::share_clip(&mut shots);
     let mut order: Vec<usize> = (0..shots.len()).collect();
     order.sort_by(|a, b| exposures[*a].secs.total_cmp(&exposures[*b].secs).then(a.cmp(b)));
     let anchor = match params.anchor {
@@ -171,7 +172,7 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
 
     progress("ghosts");
     let confidences = match &params.ghosts {
-        Some(g) => ghost::confidences(&shots, &aligned, &order, anchor, g),
+        Some(g) => ghost::confidences(&shots, &aligned, &points, &order, anchor, g),
         None => vec![None; shots.len()],
     };
     clock.lap("ghosts");
@@ -187,7 +188,9 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
         longest,
         weights: params.weights,
     };
-    let (mut values, bounds) = merge::merge(&job);
+    let (mut values, trust) = merge::merge(&job);
+    fill::fill(&mut values, &trust, shots[anchor].width());
+    let bounds = trust.iter().map(|t| *t != merge::Trust::Measured).collect();
     let mid = if exposures[0].codes.is_linear() { 1.0 } else { MID };
     let scale = f64::from(shots[anchor].log_secs) + mid.ln();
     values.par_iter_mut().for_each(|v| *v = (*v + scale as f32).exp());
@@ -278,8 +281,8 @@ fn check_order(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize]) 
     })
 }
 
-/// Corrects each exposure by what common pixels say (shutters are off by a tenth of a stop and more) and sets how far
-/// pictures may differ before that is a ghost; returns the corrections in EV.
+/// Corrects each exposure by what common pixels say (shutters are off by a tenth of a stop and more); returns the
+/// corrections in EV.
 fn balance(shots: &mut [Shot<'_>], points: &[sampling::Point], order: &[usize], anchor: usize) -> Vec<f32> {
     let mut corrections = vec![0.0f32; shots.len()];
     let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
@@ -294,10 +297,7 @@ fn balance(shots: &mut [Shot<'_>], points: &[sampling::Point], order: &[usize], 
         }
         let mid = differences.len() / 2;
         let median = *differences.select_nth_unstable_by(mid, f32::total_cmp).1;
-        differences.iter_mut().for_each(|d| *d = (*d - median).abs());
-        let spread = 1.4826 * *differences.select_nth_unstable_by(mid, f32::total_cmp).1;
         shots[to].log_secs += median;
-        shots[to].tolerance = (0.02 + spread).min(0.15);
         corrections[to] = median / std::f32::consts::LN_2;
     }
     corrections

@@ -202,10 +202,19 @@ struct Measurement {
     information: [f32; 3],
 }
 
+/// Robust difference over a window, in [0, 1], and the standard error of that mean.
+#[derive(Clone, Copy)]
+struct Cost {
+    mean: f32,
+    error: f32,
+}
+
 /// Half side of the window of a node.
 const WINDOW: isize = 14;
-/// Least absolute gain in cost for a displacement to be believed: below it is noise in flat blocks.
-const GAIN: f32 = 0.01;
+/// Standard errors by which a displacement must beat standing still: the search tries about a hundred.
+const SIGNIFICANT: f32 = 3.0;
+/// A robust difference above this is no match, whatever the search preferred: the node follows its neighbours.
+const HOPELESS: f32 = 0.4;
 /// Variance of matched grey values from rounding and noise.
 const NOISE: f32 = 0.006 * 0.006;
 /// Share of the information that is independent, windows overlapping and pixels being correlated.
@@ -224,7 +233,8 @@ fn subpixel(a: &Plane, b: &Plane, start: &Grid) -> Grid {
                 // Staying put is a candidate on the first round: no displacement without a gain.
                 if round == 0 && d != [0.0; 2] {
                     let still = measure(a, &gx, &gy, b, &grid, k, [0.0; 2]);
-                    if still.1 <= candidate.1 * 1.02 + GAIN { still.0 } else { candidate.0 }
+                    let chance = SIGNIFICANT * (still.1.error.hypot(candidate.1.error)) + 0.002;
+                    if still.1.mean <= candidate.1.mean + chance { still.0 } else { candidate.0 }
                 } else {
                     candidate.0
                 }
@@ -236,12 +246,13 @@ fn subpixel(a: &Plane, b: &Plane, start: &Grid) -> Grid {
 }
 
 /// Gauss–Newton from displacement `d` at node `k`, and the robust cost there.
-fn measure(a: &Plane, gx: &Plane, gy: &Plane, b: &Plane, grid: &Grid, k: usize, d: [f32; 2]) -> (Measurement, f32) {
+fn measure(a: &Plane, gx: &Plane, gy: &Plane, b: &Plane, grid: &Grid, k: usize, d: [f32; 2]) -> (Measurement, Cost) {
     let (cx, cy) = (grid.centre(k % grid.nx) as isize, grid.centre(k / grid.nx) as isize);
     let (x0, x1) = ((cx - WINDOW).max(0), (cx + WINDOW + 1).min(a.width as isize));
     let (y0, y1) = ((cy - WINDOW).max(0), (cy + WINDOW + 1).min(a.height as isize));
     let (mut xx, mut xy, mut yy, mut ex, mut ey) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
-    let (mut weights, mut squares, mut cost, mut n) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+    let (mut weights, mut squares, mut n) = (0.0f32, 0.0f32, 0.0f32);
+    let (mut cost, mut cost_squares) = (0.0f32, 0.0f32);
     // Every second pixel in a checkerboard is enough for two unknowns.
     for y in y0..y1 {
         let mut x = x0 + ((x0 + y) & 1);
@@ -262,15 +273,18 @@ fn measure(a: &Plane, gx: &Plane, gy: &Plane, b: &Plane, grid: &Grid, k: usize, 
             ey += w * py * r;
             weights += w;
             squares += w * r * r;
-            cost += r * r / (r * r + 25.0 * NOISE);
+            let c = r * r / (r * r + 25.0 * NOISE);
+            cost += c;
+            cost_squares += c * c;
             n += 1.0;
         }
     }
     let none = Measurement { d, information: [0.0; 3] };
     if n < 20.0 {
-        return (none, 1.0);
+        return (none, Cost { mean: 1.0, error: 0.0 });
     }
-    cost /= n;
+    let mean = cost / n;
+    let cost = Cost { mean, error: ((cost_squares / n - mean * mean).max(0.0) / n).sqrt() };
     // Damped, so that a direction without structure is left alone.
     let ridge = 0.02 * (xx + yy) * 0.5 + 1e-7;
     let (hxx, hyy) = (xx + ridge, yy + ridge);
@@ -280,7 +294,7 @@ fn measure(a: &Plane, gx: &Plane, gy: &Plane, b: &Plane, grid: &Grid, k: usize, 
     let shrink = if length > 1.0 { 1.0 / length } else { 1.0 };
     let variance = squares / weights.max(1e-3) + NOISE;
     // A window in which most pixels disagree tells little, however sharp it is.
-    let trust = INDEPENDENT * (weights / n).powi(2) / variance;
+    let trust = if mean > HOPELESS { 0.0 } else { INDEPENDENT * (weights / n).powi(2) / variance };
     let m = Measurement {
         d: [d[0] + shrink * step[0], d[1] + shrink * step[1]],
         information: [trust * xx, trust * xy, trust * yy],

@@ -5,6 +5,7 @@
 //! confidence. Clipped values of the shortest exposure count only where nothing else does, as a lower bound.
 
 use crate::align::Aligned;
+use crate::decode::CLIPPED;
 use crate::exposure::Shot;
 use crate::warp::{self, Strip};
 use crate::weight::Noise;
@@ -33,18 +34,29 @@ pub(crate) struct Merge<'a> {
     pub(crate) weights: Weights,
 }
 
-/// Log radiance (interleaved RGB) and, per pixel, whether it is only a bound.
-pub(crate) fn merge(m: &Merge<'_>) -> (Vec<f32>, Vec<bool>) {
+/// What the value of a pixel rests on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Trust {
+    /// Unclipped values of pictures that agree with the anchor.
+    Measured,
+    /// Clipped in every picture: a lower bound in some channel.
+    Bound,
+    /// Clipped in the anchor, and the pictures that are not show something else: a lower bound in some channel.
+    Hole,
+}
+
+/// Log radiance (interleaved RGB) and what it rests on.
+pub(crate) fn merge(m: &Merge<'_>) -> (Vec<f32>, Vec<Trust>) {
     let (w, h) = (m.shots[m.anchor].width(), m.shots[m.anchor].height());
-    let (mut out, mut bound) = (vec![0.0f32; 3 * w * h], vec![false; w * h]);
+    let (mut out, mut bound) = (vec![0.0f32; 3 * w * h], vec![Trust::Measured; w * h]);
     out.par_chunks_mut(3 * w * ROWS).zip(bound.par_chunks_mut(w * ROWS)).enumerate().for_each(|(k, (rows, bound))| {
         let y0 = k * ROWS;
         let y1 = y0 + bound.len() / w;
         let strips: Vec<Strip> = m.shots.iter().zip(m.aligned).map(|(s, a)| warp::strip(s, &a.field, y0..y1)).collect();
         for (p, (o, b)) in rows.chunks_exact_mut(3).zip(bound.iter_mut()).enumerate() {
-            let (value, is_bound) = pixel(m, &strips, p, y0 * w + p);
+            let (value, trust) = pixel(m, &strips, p, y0 * w + p);
             o.copy_from_slice(&value);
-            *b = is_bound;
+            *b = trust;
         }
     });
     (out, bound)
@@ -54,9 +66,10 @@ pub(crate) fn merge(m: &Merge<'_>) -> (Vec<f32>, Vec<bool>) {
 const FALLBACK: f32 = 1e-4;
 
 /// One pixel: `p` within the strips, `i` within the picture.
-fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], bool) {
+fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], Trust) {
     let mut value = [0.0f32; 3];
     let mut clipped = [false; 3];
+    let mut rejected = false;
     for c in 0..3 {
         let (mut sum, mut total) = (0.0f32, 0.0f32);
         for (k, (shot, strip)) in m.shots.iter().zip(strips).enumerate() {
@@ -65,7 +78,9 @@ fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], bool
             }
             let u = strip.codes[3 * p + c];
             let confidence = m.confidences[k].as_ref().map_or(1.0, |v| f32::from(v[i]) * (1.0 / 255.0));
-            let weight = confidence * weight_of(m, k, c, u);
+            let own = weight_of(m, k, c, u);
+            rejected |= own > 0.0 && confidence < 0.5;
+            let weight = confidence * own;
             if weight > 0.0 {
                 sum += weight * (shot.decoder.log_exposure(c, u) - shot.log_secs);
                 total += weight;
@@ -83,7 +98,12 @@ fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], bool
             value[c] = top;
         }
     }
-    (value, bounds > 0)
+    let trust = match (bounds > 0, rejected) {
+        (false, _) => Trust::Measured,
+        (true, false) => Trust::Bound,
+        (true, true) => Trust::Hole,
+    };
+    (value, trust)
 }
 
 /// Weight of code `u` in picture `k`, before the ghost confidence; 0 where the code is only a bound.
@@ -102,7 +122,7 @@ fn weight_of(m: &Merge<'_>, k: usize, c: usize, u: f32) -> f32 {
             let full = d.full_range(c);
             let variance = noise.log_variance((d.log_exposure(c, u) - full).exp());
             // Fades out over the last tenth below clipping.
-            let fade = ((crate::decode::CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
+            let fade = ((CLIPPED - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
             1e-3 * fade / variance
         }
     }

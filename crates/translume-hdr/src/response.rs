@@ -7,10 +7,10 @@
 //! Deviations from the paper. Smooth is not the curve itself but its difference from a base: for all channels together
 //! the sRGB curve, for one channel the common curve. Exposures a constant ratio apart leave any function free that
 //! repeats with that ratio; against a base the free part stays flat, where a smooth log curve would bend at its dark end
-//! or climb in stairs. Residuals are reweighted a few times, so that samples on moving things do not bend the curve; the
+//! or climb in stairs. Samples are weighed by a trapezoid instead of the paper's hat, which leaves the toe of the curve,
+//! where cameras differ most, to the smoothness. Residuals are reweighted a few times, so that samples on moving things do not bend the curve; the
 //! result is made monotone.
 
-use crate::weight::spline;
 use crate::{Error, Result};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ impl Response {
 }
 
 /// Weight of the curvature of the difference from the base, per measurement and node.
-const SMOOTHNESS: f64 = 20.0;
+const SMOOTHNESS: f64 = 4.0;
 /// Weight of the difference itself, per measurement and node, which carries the base to codes nobody has seen.
 const TO_BASE: f64 = 1e-5;
 /// Residual (ln units) beyond which a measurement counts less.
@@ -109,7 +109,7 @@ pub(crate) fn solve(samples: &[Vec<Sample>; 3], log_secs: &[f64], start: Option<
 
 /// One curve near `base`.
 fn solve_curve(samples: &[&Sample], log_secs: &[f64], start: Option<&[f32]>, base: &[f64]) -> Result<Vec<f32>> {
-    let useful = samples.iter().filter(|s| s.iter().flatten().filter(|u| spline(**u) > 0.05).count() >= 2).count();
+    let useful = samples.iter().filter(|s| s.iter().flatten().filter(|u| trust(**u) > 0.3).count() >= 2).count();
     if useful < 8 {
         return Err(Error::Response(format!(
             "only {useful} sample points are well exposed in two pictures (all black or saturated elsewhere): add \
@@ -152,7 +152,7 @@ fn add_sample(
     let mut rows: Vec<(f64, usize, f64, f64)> = Vec::with_capacity(s.len());
     for (u, b) in s.iter().zip(log_secs) {
         let Some(u) = u else { continue };
-        let w = f64::from(spline(*u));
+        let w = f64::from(trust(*u));
         if w <= 0.0 {
             continue;
         }
@@ -192,12 +192,16 @@ fn add_sample(
     sum
 }
 
-/// Penalties on the difference from the base; the curvature's is weighted as the measurements are, with a floor.
+/// Weight of a code in the fit: 0 at both ends, 1 from code 12 to 237.
+fn trust(u: f32) -> f32 {
+    ((u - 0.008) / 0.04).clamp(0.0, 1.0) * ((0.985 - u) / 0.055).clamp(0.0, 1.0)
+}
+
+/// Penalties on the difference from the base; in the toe a log curve may bend more.
 fn add_smoothness(measurements: f64, h: &mut DMatrix<f64>) {
     let scale = SMOOTHNESS * measurements.max(1.0);
     for z in 1..NODES - 1 {
-        let w = f64::from(spline(z as f32 / (NODES - 1) as f32)).max(0.05);
-        let a = scale * w * w;
+        let a = scale * (z as f64 / 60.0).powi(2).clamp(0.01, 1.0);
         let row = [(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)];
         for (i, ci) in row {
             for (j, cj) in row {

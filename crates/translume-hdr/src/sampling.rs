@@ -105,14 +105,15 @@ fn unevenness(strips: &[Strip], x: usize) -> f32 {
 ///
 /// A median over all points of one brightness ignores what has moved there, as long as most of them have not. Where a
 /// moving thing is all there is at a brightness that would not help: points that contradict the preliminary curve of
-/// `shots` (found from histograms, which do not care where things are) by more than `CONTRADICTION` are left out first.
+/// `shots` (found from histograms, which do not care where things are) by much are left out first.
 pub(crate) fn comparagram_samples(
     shots: &[Shot<'_>],
     points: &[Point],
     order: &[usize],
     channel: usize,
 ) -> Vec<Sample> {
-    const CONTRADICTION: f32 = 0.3;
+    // Near black preliminary curves are the least certain.
+    let contradiction = |u: f32| if u < 0.2 { 0.8 } else { 0.3 };
     const BINS: usize = 100;
     const FEWEST: usize = 4;
     let log = |i: usize, u: f32| shots[i].decoder.log_exposure(channel, u) - shots[i].log_secs;
@@ -122,7 +123,7 @@ pub(crate) fn comparagram_samples(
             let mut bins: Vec<Vec<(f32, f32)>> = vec![Vec::new(); BINS];
             for p in points {
                 if let (Some(u), Some(v)) = (p.codes[from], p.codes[to])
-                    && (log(from, u[channel]) - log(to, v[channel])).abs() < CONTRADICTION
+                    && (log(from, u[channel]) - log(to, v[channel])).abs() < contradiction(u[channel].min(v[channel]))
                 {
                     bins[((u[channel] * BINS as f32) as usize).min(BINS - 1)].push((u[channel], v[channel]));
                 }
@@ -171,7 +172,6 @@ mod tests {
             codes: &codes,
             log_secs: secs.ln(),
             border: None,
-            tolerance: 0.0,
             decoder: decoder_of(&codes, &Response::linear()),
         };
         // A linear camera and a ratio of 2; of the points brighter than 0.5 all have moved, of the others a third.

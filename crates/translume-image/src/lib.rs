@@ -30,7 +30,7 @@ pub use formats::exr_write::{ExrCompression, ExrOptions, Precision, write_exr, w
 pub use formats::pfm::write_pfm;
 pub use formats::png::{write_gray_png, write_png8, write_png16};
 pub use formats::radiance::write_hdr;
-pub use formats::tiff::{write_tiff_float, write_tiff16};
+pub use formats::tiff::{write_tiff_float, write_tiff8, write_tiff16};
 pub use image::Rgb32FImage;
 pub use orient::Orientation;
 pub use picture::{Metadata, Picture};

@@ -39,6 +39,17 @@ impl Format {
         }
     }
 
+    /// The format of the file at `path`.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Invalid`] and [`Error::Unsupported`] for what is none of them.
+    pub fn of_file(path: &Path) -> Result<Self> {
+        let mut head = Vec::with_capacity(16);
+        let file = File::open(path).map_err(|e| Error::io(path, e))?;
+        file.take(16).read_to_end(&mut head).map_err(|e| Error::io(path, e))?;
+        format_of(&head, path)
+    }
+
     /// Its usual name.
     pub fn name(self) -> &'static str {
         match self {
@@ -140,6 +151,11 @@ impl Picture {
     /// How many samples are NaN or infinite. Reading lets them pass; most algorithms want none.
     pub fn count_non_finite(&self) -> usize {
         self.pixels.as_raw().iter().filter(|v| !v.is_finite()).count()
+    }
+
+    /// Sets samples that are NaN or infinite to 0 and returns their number.
+    pub fn clear_non_finite(&mut self) -> usize {
+        self.pixels.iter_mut().filter(|v| !v.is_finite()).map(|v| *v = 0.0).count()
     }
 }
 

@@ -31,10 +31,15 @@ fn lines(bytes: &[u8], mut parse: impl FnMut(&[u8]) -> Parsed<()>) -> Parsed<()>
         return Err(Fault::Unsupported("UTF-16 text; save it as UTF-8".into()));
     }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let mut joined = Vec::new();
-    for (number, line) in bytes.split(|&b| b == b'\n' || b == b'\r').enumerate() {
-        // A lone \r ends lines too, so \r\n gives empty lines: numbers are found again from the text if needed.
-        let line = line.split(|&b| b == b'#').next().unwrap_or(line).trim_ascii();
+    let (mut rest, mut number, mut joined) = (bytes, 0, Vec::new());
+    while !rest.is_empty() {
+        let end = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
+        let line = rest[..end].split(|&b| b == b'#').next().unwrap_or_default().trim_ascii();
+        rest = match &rest[end..] {
+            [b'\r', b'\n', after @ ..] | [_, after @ ..] => after,
+            [] => &[],
+        };
+        number += 1;
         if let Some(begun) = line.strip_suffix(b"\\") {
             joined.extend_from_slice(begun);
             joined.push(b' ');
@@ -48,13 +53,9 @@ fn lines(bytes: &[u8], mut parse: impl FnMut(&[u8]) -> Parsed<()>) -> Parsed<()>
             joined.clear();
             result
         };
-        result.map_err(|fault| {
-            let crlf = bytes.windows(2).take(1 << 16).any(|w| w == b"\r\n");
-            let place = if crlf { number / 2 + 1 } else { number + 1 };
-            match fault {
-                Fault::Invalid(what) => Fault::Invalid(format!("line {place}: {what}")),
-                Fault::Unsupported(what) => Fault::Unsupported(format!("line {place}: {what}")),
-            }
+        result.map_err(|fault| match fault {
+            Fault::Invalid(what) => Fault::Invalid(format!("line {number}: {what}")),
+            Fault::Unsupported(what) => Fault::Unsupported(format!("line {number}: {what}")),
         })?;
     }
     Ok(())

@@ -68,13 +68,13 @@ impl Kind {
         }
     }
 
-    /// What maps the stored colour to 0–1.
-    fn color_scale(self) -> f32 {
+    /// The stored value of full colour.
+    fn full_color(self) -> f32 {
         match self {
             Self::F32 | Self::F64 => 1.0,
-            Self::I8 | Self::U8 => 1.0 / 255.0,
-            Self::I16 | Self::U16 => 1.0 / 65535.0,
-            Self::I32 | Self::U32 => 1.0 / u32::MAX as f32,
+            Self::I8 | Self::U8 => 255.0,
+            Self::I16 | Self::U16 => 65535.0,
+            Self::I32 | Self::U32 => u32::MAX as f32,
         }
     }
 }
@@ -328,7 +328,7 @@ fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parse
     }
     let n = element.count as usize; // bounded by check_room
     let kind_of = |s: usize| element.properties[slots.iter().position(|&t| t == Some(s)).unwrap_or(0)].kind;
-    let scale = kind_of(8).color_scale();
+    let full = kind_of(8).full_color();
     mesh.positions.reserve_exact(n);
     mesh.normals = has(3..6).then(|| Vec::with_capacity(n));
     mesh.uvs = has(6..8).then(|| Vec::with_capacity(n));
@@ -350,7 +350,7 @@ fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parse
             uvs.push([v[6], v[7]]);
         }
         if let Some(colors) = &mut mesh.colors {
-            colors.push([v[8], v[9], v[10]].map(|c| c * scale));
+            colors.push([v[8], v[9], v[10]].map(|c| c / full));
         }
     }
     Ok(())

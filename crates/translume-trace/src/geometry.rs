@@ -67,7 +67,7 @@ pub struct Geometry {
     pub(crate) level: Level,
 }
 
-const PARAMS: Params = Params { block: 8, largest_leaf: 8, block_cost: 1.0 };
+const PARAMS: Params = Params { block: 8, largest_leaf: 8, block_cost: 1.5 };
 
 impl Geometry {
     /// Builds the tree, in parallel on rayon's current pool; the result does not depend on the number of threads.

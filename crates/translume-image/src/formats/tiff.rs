@@ -185,6 +185,14 @@ pub fn write_tiff_float(path: &Path, picture: &Picture) -> Result<()> {
     save::<tiff::encoder::colortype::RGB32Float>(path, (w, h), picture.pixels.as_raw())
 }
 
+/// Writes 8-bit sRGB codes, `3 * width * height`.
+///
+/// # Errors
+/// As [`write_tiff_float`].
+pub fn write_tiff8(path: &Path, (width, height): (usize, usize), rgb: &[u8]) -> Result<()> {
+    save::<tiff::encoder::colortype::RGB8>(path, (width as u32, height as u32), rgb)
+}
+
 /// Writes 16-bit sRGB codes, `3 * width * height`.
 ///
 /// # Errors

@@ -22,7 +22,7 @@ pub struct FattalParams {
 
 impl Default for FattalParams {
     fn default() -> Self {
-        Self { alpha: 0.1, beta: 0.85, saturation: 0.6, clip: [0.001, 0.005] }
+        Self { alpha: 0.1, beta: 0.85, saturation: 0.6, clip: [0.002, 0.005] }
     }
 }
 
@@ -54,6 +54,9 @@ fn log_luminance(lum: &[f32]) -> Vec<f32> {
     let (floor, top) = (percentile(&lit, 0.01) * 1e-3, percentile(&lit, 1.0));
     lum.par_iter().map(|l| l.clamp(floor.max(f32::MIN_POSITIVE), top.max(f32::MIN_POSITIVE)).ln()).collect()
 }
+
+/// In units of α: below it gradients are magnified no more.
+const SMALLEST_GRADIENT: f32 = 0.5;
 
 struct Level {
     width: usize,
@@ -130,8 +133,9 @@ fn attenuation(finest: Level, params: &FattalParams) -> Vec<f32> {
         let mut values = vec![0.0; magnitude.len()];
         values.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, out) in row.iter_mut().enumerate() {
-                // φ = (α/g)(g/α)^β; below a thousandth of α the factor would only blow up noise.
-                let g = (magnitude[y * width + x] / alpha).max(1e-3);
+                // φ = (α/g)(g/α)^β. The paper magnifies small gradients "slightly"; unbounded, the product over all
+                // levels makes clouds out of the noise of smooth walls.
+                let g = (magnitude[y * width + x] / alpha).max(SMALLEST_GRADIENT);
                 *out = g.powf(params.beta - 1.0) * phi.as_ref().map_or(1.0, |coarse| coarse.sampled(x, y));
             }
         });

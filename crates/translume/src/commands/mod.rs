@@ -4,8 +4,10 @@
 //! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
+mod compare;
 mod completions;
 mod hdr;
+mod image;
 mod man;
 mod mesh;
 mod scene;
@@ -19,6 +21,9 @@ pub(crate) enum Verb {
     Hdr(hdr::Args),
     Mesh(mesh::Args),
     Scene(scene::Args),
+    #[command(subcommand)]
+    Image(image::Args),
+    Compare(compare::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -30,6 +35,8 @@ impl Verb {
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),
+            Self::Image(args) => image::run(args, ctx),
+            Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }

@@ -1,0 +1,108 @@
+//! `translume compare`: every measure of two pictures, and a page with difference pictures.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use serde_json::{Map, Value, json};
+use std::path::PathBuf;
+use translume_image::compare::{CompareParams, compare, write_report};
+use translume_image::{Format, read_picture};
+
+const EXAMPLES: &str = "\
+Examples:
+  Print all measures:
+    translume compare reference.exr render.exr
+
+  Write a page with FLIP map, signed difference and both pictures:
+    translume compare reference.exr render.exr --report differences
+
+  Take one measure into a script:
+    translume compare a.png b.png --json | jq .flip_mean
+
+  Look from 1 m at a 27-inch screen of 2560 pixels:
+    translume compare a.png b.png --ppd 74.8";
+
+/// Measure how far a picture is from a reference
+///
+/// RMSE, relMSE, PSNR, PSNR-µ, PU21-PSNR, SSIM, CIEDE2000 and FLIP. Two 8 or 16-bit files are compared as they are
+/// displayed; with a float file among them, FLIP looks at all exposures that show something.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The picture taken for right
+    reference: PathBuf,
+    /// The picture to be judged
+    test: PathBuf,
+    /// Write index.html with difference pictures into this folder (made if it is not there)
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Compare light beyond white too [default: if one of the files is float]
+    #[arg(long, conflicts_with = "ldr")]
+    hdr: bool,
+    /// Compare only what a display shows without tone mapping
+    #[arg(long)]
+    ldr: bool,
+    /// Pixels per degree of visual angle [default: 67.02, 0.7 m from a 3840-pixel screen of 0.7 m]
+    #[arg(long, value_name = "N")]
+    ppd: Option<f64>,
+    /// Luminance that a value of 1 stands for, for PU21
+    #[arg(long, value_name = "CD_M2", default_value_t = 100.0)]
+    white: f64,
+}
+
+pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
+    let ppd = args.ppd.unwrap_or(CompareParams::default().ppd);
+    if !(1.0..=10_000.0).contains(&ppd) {
+        return Err(Usage("--ppd must lie between 1 and 10000".into()).into());
+    }
+    if !(args.white > 0.0 && args.white.is_finite()) {
+        return Err(Usage("--white must be a positive luminance".into()).into());
+    }
+    let mut pictures = [read_picture(&args.reference)?, read_picture(&args.test)?];
+    let mut non_finite = [0, 0];
+    for (i, path) in [&args.reference, &args.test].into_iter().enumerate() {
+        non_finite[i] = pictures[i].clear_non_finite();
+        if non_finite[i] > 0 {
+            ctx.warn(format_args!("{}: {} values are NaN or infinite, taken for 0", path.display(), non_finite[i]));
+        }
+    }
+    let [reference, test] = pictures;
+    let hdr = args.hdr || !args.ldr && (is_float(&args.reference)? || is_float(&args.test)?);
+    let params = CompareParams { hdr, ppd, cd_m2: args.white };
+    let found = compare(&reference, &test, &params)?;
+    let mut files = Vec::new();
+    if let Some(folder) = &args.report {
+        let names = (args.reference.to_string_lossy(), args.test.to_string_lossy());
+        files = write_report(folder, (&reference, &test), (&names.0, &names.1), &found)?;
+        ctx.note(format_args!("report in {}", folder.join("index.html").display()));
+    }
+    let rows = found.rows();
+    let table: Vec<String> = rows.iter().map(|(n, v, meaning)| format!("{n:13} {v:14.6}   {meaning}")).collect();
+    ctx.text(table.join("\n"))?;
+    let (width, height) = reference.pixels.dimensions();
+    let mut object = Map::new();
+    // JSON knows no infinity: the PSNR of equal pictures is null.
+    object.extend(rows.iter().map(|(name, value, _)| ((*name).to_owned(), json!(value))));
+    object.insert("reference".into(), json!(args.reference.to_string_lossy()));
+    object.insert("test".into(), json!(args.test.to_string_lossy()));
+    object.insert("width".into(), json!(width));
+    object.insert("height".into(), json!(height));
+    object.insert("hdr".into(), json!(hdr));
+    object.insert("ppd".into(), json!(params.ppd));
+    object.insert("non_finite".into(), json!(non_finite));
+    if let Some((start, stop, count)) = found.flip.exposures {
+        object.insert("flip_exposures".into(), json!({ "start": start, "stop": stop, "count": count }));
+    }
+    if !files.is_empty() {
+        object.insert("files".into(), files.iter().map(|f| json!(f.to_string_lossy())).collect());
+    }
+    ctx.emit_json(Value::Object(object))
+}
+
+/// Whether a file's format holds light beyond white.
+fn is_float(path: &std::path::Path) -> anyhow::Result<bool> {
+    Ok(match Format::of_file(path)? {
+        Format::Exr | Format::Radiance | Format::Pfm => true,
+        Format::Png | Format::Jpeg => false,
+        Format::Tiff => translume_image::read_codes(path)?.is_linear(),
+    })
+}
