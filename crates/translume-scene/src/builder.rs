@@ -111,12 +111,7 @@ impl Builder {
             return Ok(mesh.clone());
         }
         let path = &key.path;
-        let fault = |e: translume_mesh::Error| match e {
-            translume_mesh::Error::Io { path, source } => Error::Io { path, line: None, source },
-            translume_mesh::Error::Invalid { path, what } => Error::Invalid { path, line: None, what },
-            translume_mesh::Error::Unsupported { path, what } => Error::Unsupported { path, line: None, what },
-        };
-        let mut loaded = translume_mesh::read(path, &ReadOptions { part: key.part }).map_err(fault)?;
+        let mut loaded = translume_mesh::read(path, &ReadOptions { part: key.part })?;
         for warning in std::mem::take(&mut loaded.warnings) {
             self.scene.warnings.push(format!("{}: {warning}", path.display()));
         }
@@ -177,9 +172,9 @@ impl Builder {
         if let Some(image) = self.images.get(&key) {
             return Ok(image.clone());
         }
-        let mut picture = translume_image::decode_picture(bytes, name).map_err(picture_fault)?;
+        let mut picture = translume_image::decode_picture(bytes, name)?;
         if raw {
-            let codes = translume_image::decode_codes(bytes, name).map_err(picture_fault)?;
+            let codes = translume_image::decode_codes(bytes, name)?;
             picture.pixels = unit_codes(&codes.samples, codes.width, codes.height)
                 .ok_or_else(|| Error::invalid(name, None, "fewer pixels than the header says"))?;
         }
@@ -211,15 +206,6 @@ impl Builder {
     pub(crate) fn finish(mut self) -> Scene {
         check::repair(&mut self.scene, &self.path);
         self.scene
-    }
-}
-
-fn picture_fault(e: translume_image::Error) -> Error {
-    match e {
-        translume_image::Error::Io { path, source } => Error::Io { path, line: None, source },
-        translume_image::Error::Invalid { path, what } => Error::Invalid { path, line: None, what },
-        translume_image::Error::Unsupported { path, what } => Error::Unsupported { path, line: None, what },
-        translume_image::Error::Mismatch(what) => Error::Invalid { path: PathBuf::new(), line: None, what },
     }
 }
 

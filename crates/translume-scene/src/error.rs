@@ -85,3 +85,39 @@ impl Error {
         }
     }
 }
+
+impl Error {
+    /// The same about an element of the file `path`.
+    pub(crate) fn inside(self, path: &Path, element: &str) -> Self {
+        let what = format!("{element}: {self}");
+        match self {
+            Self::Unsupported { .. } => Self::unsupported(path, None, what),
+            Self::Io { source, .. } => {
+                let source = std::io::Error::new(source.kind(), what);
+                Self::io(path, source)
+            }
+            Self::Invalid { .. } => Self::invalid(path, None, what),
+        }
+    }
+}
+
+impl From<translume_mesh::Error> for Error {
+    fn from(e: translume_mesh::Error) -> Self {
+        match e {
+            translume_mesh::Error::Io { path, source } => Self::Io { path, line: None, source },
+            translume_mesh::Error::Invalid { path, what } => Self::Invalid { path, line: None, what },
+            translume_mesh::Error::Unsupported { path, what } => Self::Unsupported { path, line: None, what },
+        }
+    }
+}
+
+impl From<translume_image::Error> for Error {
+    fn from(e: translume_image::Error) -> Self {
+        match e {
+            translume_image::Error::Io { path, source } => Self::Io { path, line: None, source },
+            translume_image::Error::Invalid { path, what } => Self::Invalid { path, line: None, what },
+            translume_image::Error::Unsupported { path, what } => Self::Unsupported { path, line: None, what },
+            translume_image::Error::Mismatch(what) => Self::Invalid { path: PathBuf::new(), line: None, what },
+        }
+    }
+}

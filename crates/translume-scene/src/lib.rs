@@ -19,9 +19,11 @@ mod builder;
 mod check;
 pub mod emitter;
 mod error;
+pub mod gltf;
 pub mod material;
 pub mod medium;
 pub mod mitsuba;
+pub mod pbrt;
 mod scene;
 pub mod sensor;
 mod spectrum;
@@ -35,7 +37,7 @@ pub use scene::{
 };
 use std::path::Path;
 
-/// Reads a scene: Mitsuba XML, told by its first character or its name.
+/// Reads a scene: Mitsuba XML, glTF or pbrt-v4, told by its first character or its name.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] for damaged files and [`Error::Unsupported`] for other formats and features.
@@ -46,7 +48,9 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let head = head[..length].strip_prefix(b"\xef\xbb\xbf").unwrap_or(&head[..length]).trim_ascii_start();
     match (head, path.extension().and_then(|e| e.to_str())) {
         ([], _) => Err(Error::invalid(path, None, "the file is empty")),
+        ([b'g', b'l', b'T', b'F', ..] | [b'{', ..], _) | (_, Some("glb" | "gltf")) => gltf::load(path, options),
         ([b'<', ..], _) | (_, Some("xml")) => mitsuba::load(path, options),
-        _ => Err(Error::unsupported(path, None, "not a scene that is read here (Mitsuba XML)")),
+        (_, Some("pbrt")) => pbrt::load(path, options),
+        _ => Err(Error::unsupported(path, None, "not a scene that is read here (Mitsuba XML, glTF, pbrt-v4)")),
     }
 }

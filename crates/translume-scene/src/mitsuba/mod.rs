@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 use translume_mesh::TriMesh;
+pub(crate) use tree::read_text;
 use tree::{Element, Place};
 
 /// References do not lead deeper.
