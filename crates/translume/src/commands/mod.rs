@@ -13,6 +13,7 @@ mod man;
 mod mesh;
 mod page;
 mod pictures;
+mod scene;
 
 use crate::output::Context;
 
@@ -23,6 +24,7 @@ pub(crate) enum Verb {
     Demo(demo::Args),
     Hdr(hdr::Args),
     Mesh(mesh::Args),
+    Scene(scene::Args),
     #[command(subcommand)]
     Image(image::Args),
     Compare(compare::Args),
@@ -37,6 +39,7 @@ impl Verb {
             Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
+            Self::Scene(args) => scene::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
