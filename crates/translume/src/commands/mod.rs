@@ -9,7 +9,9 @@ mod completions;
 mod hdr;
 mod image;
 mod man;
+mod merge;
 mod mesh;
+mod render;
 
 use crate::output::Context;
 
@@ -22,6 +24,8 @@ pub(crate) enum Verb {
     #[command(subcommand)]
     Image(image::Args),
     Compare(compare::Args),
+    Render(render::Args),
+    Merge(merge::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -34,6 +38,8 @@ impl Verb {
             Self::Mesh(args) => mesh::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),
+            Self::Render(args) => render::run(args, ctx),
+            Self::Merge(args) => merge::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
