@@ -27,7 +27,8 @@ pub enum Emitter {
     },
     /// All around, from a picture (latitude and longitude; the crate's front page says how directions map).
     Environment {
-        /// Radiance.
+        /// Radiance. Column x stands at the azimuth (x + ½)/width of a turn, row y at the polar angle π y/(height − 1):
+        /// the first and the last row are the poles.
         image: Arc<Picture>,
         /// Factor on it.
         scale: Rgb,

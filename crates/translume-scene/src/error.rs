@@ -65,3 +65,23 @@ impl Error {
         Self::Unsupported { path: path.to_owned(), line: line.into(), what: what.into() }
     }
 }
+
+impl Error {
+    /// The same about a file that the scene file names at `line`: who looks for the mistake starts there.
+    pub(crate) fn at(self, path: &Path, line: u32) -> Self {
+        let (named, line) = (path.to_owned(), Some(line));
+        match self {
+            Self::Io { path, source, .. } => {
+                let what = format!("cannot read {}: {source}", path.display());
+                Self::Io { path: named, line, source: std::io::Error::new(source.kind(), what) }
+            }
+            Self::Invalid { path, what, line: None } => {
+                Self::Invalid { path: named, line, what: format!("{}: {what}", path.display()) }
+            }
+            Self::Unsupported { path, what, line: None } => {
+                Self::Unsupported { path: named, line, what: format!("{}: {what}", path.display()) }
+            }
+            placed => placed,
+        }
+    }
+}

@@ -2,7 +2,7 @@
 
 use crate::emitter::Emitter;
 use crate::material::Material;
-use crate::medium::Medium;
+use crate::medium::{Medium, Volume};
 use crate::sensor::Sensor;
 use crate::texture::Texture;
 use glam::{DAffine3, DVec3};
@@ -179,6 +179,38 @@ impl Scene {
         let groups: Vec<u64> = self.groups.iter().map(|g| count(&g.shapes)).collect();
         let placed = self.instances.iter().map(|i| groups[i.group.0]).fold(shapes, u64::saturating_add);
         (stored, placed)
+    }
+
+    /// Bytes of meshes, pictures and grids, shared ones once.
+    pub fn heap_bytes(&self) -> u64 {
+        let mut seen = std::collections::HashSet::new();
+        let mut bytes = 0;
+        let mut once = |address: usize, size: usize| bytes += if seen.insert(address) { size as u64 } else { 0 };
+        for shape in self.shapes.iter().chain(self.groups.iter().flat_map(|g| &g.shapes)) {
+            if let Geometry::Mesh(mesh) = &shape.geometry {
+                let optional = [mesh.normals.as_ref(), mesh.colors.as_ref()].into_iter().flatten().map(Vec::len);
+                let triples = mesh.positions.len() + mesh.indices.len() + optional.sum::<usize>();
+                once(Arc::as_ptr(mesh) as usize, 12 * triples + 8 * mesh.uvs.as_ref().map_or(0, Vec::len));
+            }
+        }
+        let bitmaps = self.textures.iter().filter_map(|t| match t {
+            Texture::Bitmap(b) => Some(&b.image),
+            _ => None,
+        });
+        let environments = self.emitters.iter().filter_map(|e| match e {
+            Emitter::Environment { image, .. } => Some(image),
+            _ => None,
+        });
+        for image in bitmaps.chain(environments) {
+            let samples = image.pixels.as_raw().len() + image.alpha.as_ref().map_or(0, Vec::len);
+            once(Arc::as_ptr(image) as usize, 4 * samples);
+        }
+        for volume in self.media.iter().flat_map(|m| [&m.sigma_t, &m.albedo]) {
+            if let Volume::Grid { grid, .. } = volume {
+                once(Arc::as_ptr(grid) as usize, 4 * grid.values.len());
+            }
+        }
+        bytes
     }
 
     /// The box around all shapes and instances.

@@ -160,14 +160,16 @@ impl<L: Lanes> Slabs<L> {
     /// Entry parameters and a bit for each box that is entered before `t_max`.
     #[inline(always)]
     fn enter(&self, node: &Node, t_min: f32, t_max: f32) -> (L, u32) {
-        let plane = |rows: &[usize; 3], inverse: &[L; 3], offset: &[L; 3], k: usize| {
-            L::load(&node.planes[rows[k]]).mul_add(inverse[k], offset[k])
-        };
-        let near = |k| plane(&self.near, &self.near_inverse, &self.near_offset, k);
-        let far = |k| plane(&self.far, &self.far_inverse, &self.far_offset, k);
+        let (near, far) = (&self.near, &self.far);
+        let near_x = L::load(&node.planes[near[0]]).mul_add(self.near_inverse[0], self.near_offset[0]);
+        let near_y = L::load(&node.planes[near[1]]).mul_add(self.near_inverse[1], self.near_offset[1]);
+        let near_z = L::load(&node.planes[near[2]]).mul_add(self.near_inverse[2], self.near_offset[2]);
+        let far_x = L::load(&node.planes[far[0]]).mul_add(self.far_inverse[0], self.far_offset[0]);
+        let far_y = L::load(&node.planes[far[1]]).mul_add(self.far_inverse[1], self.far_offset[1]);
+        let far_z = L::load(&node.planes[far[2]]).mul_add(self.far_inverse[2], self.far_offset[2]);
         // NaN (from overflow) loses against the other operand.
-        let t_near = near(0).max(near(1).max(near(2).max(L::splat(t_min))));
-        let t_far = far(0).min(far(1).min(far(2).min(L::splat(t_max))));
+        let t_near = near_x.max(near_y.max(near_z.max(L::splat(t_min))));
+        let t_far = far_x.min(far_y.min(far_z.min(L::splat(t_max))));
         (t_near, t_near.le(t_far))
     }
 }

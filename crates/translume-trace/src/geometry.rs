@@ -119,6 +119,12 @@ impl Geometry {
         Self::new(vec![Shape::Mesh(mesh)])
     }
 
+    /// The same with the kernels of processors without AVX2: for comparisons.
+    #[must_use]
+    pub fn without_simd(self) -> Self {
+        Self { level: Level::Portable, ..self }
+    }
+
     /// The shapes, in the order of [`Hit::part`].
     pub fn shapes(&self) -> &[Shape] {
         &self.shapes
@@ -269,13 +275,16 @@ struct Any<'a> {
 impl<L: Lanes> Visitor<L> for Any<'_> {
     #[inline(always)]
     fn leaf(&mut self, leaf: Child, t_max: &mut f32) -> bool {
-        leaf.items().any(|i| {
+        for i in leaf.items() {
             let hit = if leaf.kind() {
                 self.geometry.quadric_hit(i, self.ray, *t_max)
             } else {
                 self.geometry.blocks[i].intersect::<L>(&self.shear, self.ray.t_min, *t_max)
             };
-            hit.is_some()
-        })
+            if hit.is_some() {
+                return true;
+            }
+        }
+        false
     }
 }

@@ -4,6 +4,9 @@
 //! `benches/results/trace-throughput.md`, column "portable".
 #![allow(unsafe_code)] // Intrinsics; the only caller of Avx2 checks the processor first (see `Level`).
 
+/// Code over [`Lanes`] must be `#[inline(always)]` throughout, without closures: what is not inlined into the caller that
+/// enables AVX2 would be compiled without it.
+///
 /// Operations on eight lanes. Comparisons give a bit per lane, false where an operand is NaN.
 pub(crate) trait Lanes: Copy {
     fn splat(x: f32) -> Self;

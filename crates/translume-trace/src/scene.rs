@@ -180,10 +180,13 @@ struct Any<'a> {
 impl<L: Lanes> Visitor<L> for Any<'_> {
     #[inline(always)]
     fn leaf(&mut self, leaf: Child, _: &mut f32) -> bool {
-        leaf.items().any(|i| {
+        for i in leaf.items() {
             let instance = self.scene.order[i] as usize;
-            let ray = self.scene.object_ray(instance, self.ray);
-            ray.is_some_and(|ray| self.scene.instances[instance].geometry.any::<L>(&ray))
-        })
+            let Some(ray) = self.scene.object_ray(instance, self.ray) else { continue };
+            if self.scene.instances[instance].geometry.any::<L>(&ray) {
+                return true;
+            }
+        }
+        false
     }
 }

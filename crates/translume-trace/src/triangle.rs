@@ -26,6 +26,16 @@ impl Shear {
         let inverse = 1.0 / d[kz];
         Self { axes: [kx, ky, kz], o: [o[kx], o[ky], o[kz]], s: [d[kx] * inverse, d[ky] * inverse, inverse] }
     }
+
+    /// Corners relative to the ray in its sheared frame, rounded alike for every triangle that shares the corner.
+    #[inline(always)]
+    fn shear<L: Lanes>(&self, c: &[[f32; 8]; 3]) -> (L, L, L) {
+        let [kx, ky, kz] = self.axes;
+        let z = L::load(&c[kz]).sub(L::splat(self.o[2]));
+        let x = L::load(&c[kx]).sub(L::splat(self.o[0])).sub(L::splat(self.s[0]).mul(z));
+        let y = L::load(&c[ky]).sub(L::splat(self.o[1])).sub(L::splat(self.s[1]).mul(z));
+        (x, y, z)
+    }
 }
 
 /// Corners of eight triangles by corner, axis and lane. Unused lanes repeat the first.
@@ -63,19 +73,9 @@ impl Block {
     /// The closest hit with `t_min < t < t_max`.
     #[inline(always)]
     pub(crate) fn intersect<L: Lanes>(&self, ray: &Shear, t_min: f32, t_max: f32) -> Option<TriangleHit> {
-        let o = ray.o.map(L::splat);
-        let s = ray.s.map(L::splat);
-        let [kx, ky, kz] = ray.axes;
-        let corner = |c: &[[f32; 8]; 3]| {
-            let z = L::load(&c[kz]).sub(o[2]);
-            // Rounded alike for every triangle that shares the corner.
-            let x = L::load(&c[kx]).sub(o[0]).sub(s[0].mul(z));
-            let y = L::load(&c[ky]).sub(o[1]).sub(s[1].mul(z));
-            (x, y, z)
-        };
-        let (ax, ay, az) = corner(&self.corners[0]);
-        let (bx, by, bz) = corner(&self.corners[1]);
-        let (cx, cy, cz) = corner(&self.corners[2]);
+        let (ax, ay, az) = ray.shear::<L>(&self.corners[0]);
+        let (bx, by, bz) = ray.shear::<L>(&self.corners[1]);
+        let (cx, cy, cz) = ray.shear::<L>(&self.corners[2]);
         // Two roundings and no fused operation: the two triangles of an edge must get opposite values.
         let u = cx.mul(by).sub(cy.mul(bx));
         let v = ax.mul(cy).sub(ay.mul(cx));
@@ -83,13 +83,12 @@ impl Block {
         let zero = L::splat(0.0);
         let (low, high) = (u.min(v).min(w), u.max(v).max(w));
         let inside = zero.le(low) | high.le(zero);
-        let decided = |e: L| zero.lt(e) | e.lt(zero);
-        let doubtful = !(decided(u) & decided(v) & decided(w)) & 0xff;
+        let doubtful = !((zero.lt(u) | u.lt(zero)) & (zero.lt(v) | v.lt(zero)) & (zero.lt(w) | w.lt(zero))) & 0xff;
         let mut best: Option<TriangleHit> = None;
         let sure = inside & !doubtful;
         if sure != 0 {
             let det = u.add(v).add(w);
-            let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(s[2]).div(det);
+            let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(L::splat(ray.s[2])).div(det);
             let mut hits = sure & L::splat(t_min).lt(t) & t.lt(L::splat(t_max));
             if hits != 0 {
                 let (t, v, w, det) = (t.store(), v.store(), w.store(), det.store());
@@ -103,7 +102,17 @@ impl Block {
             }
         }
         if doubtful != 0 {
-            let sheared = [ax, ay, az, bx, by, bz, cx, cy, cz].map(L::store);
+            let sheared = [
+                ax.store(),
+                ay.store(),
+                az.store(),
+                bx.store(),
+                by.store(),
+                bz.store(),
+                cx.store(),
+                cy.store(),
+                cz.store(),
+            ];
             best = doubtful_lanes(self, doubtful, &sheared, ray.s[2], t_min, t_max, best);
         }
         best

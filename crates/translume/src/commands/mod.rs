@@ -12,6 +12,7 @@ mod man;
 mod merge;
 mod mesh;
 mod render;
+mod scene;
 
 use crate::output::Context;
 
@@ -26,6 +27,7 @@ pub(crate) enum Verb {
     Compare(compare::Args),
     Render(render::Args),
     Merge(merge::Args),
+    Scene(scene::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -40,6 +42,7 @@ impl Verb {
             Self::Compare(args) => compare::run(args, ctx),
             Self::Render(args) => render::run(args, ctx),
             Self::Merge(args) => merge::run(args, ctx),
+            Self::Scene(args) => scene::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
             Self::Man(args) => man::run(args, ctx),
         }
