@@ -70,7 +70,10 @@ pub fn read(path: &Path, film: &mut Film, identity: &Identity) -> Result<()> {
     let found = Identity { fingerprint: u64::from_le_bytes(input.take()?), seed: u64::from_le_bytes(input.take()?) };
     if found.seed != identity.seed {
         let (had, has) = (found.seed, identity.seed);
-        return Err(mismatch(path, &format!("it was begun with --seed {had}, not {has}; a resumed render keeps its seed")));
+        return Err(mismatch(
+            path,
+            &format!("it was begun with --seed {had}, not {has}; a resumed render keeps its seed"),
+        ));
     }
     let size = [u32::from_le_bytes(input.take()?), u32::from_le_bytes(input.take()?)];
     let count = u32::from_le_bytes(input.take()?);

@@ -103,8 +103,7 @@ impl Film {
                 size[0], size[1]
             )));
         }
-        let channels: usize =
-            aovs.iter().filter(|a| **a != Aov::Variance).map(|a| a.channels().len()).sum();
+        let channels: usize = aovs.iter().filter(|a| **a != Aov::Variance).map(|a| a.channels().len()).sum();
         let squared = aovs.contains(&Aov::Variance);
         let mut tiles = Vec::new();
         for y in (0..size[1]).step_by(TILE as usize) {
@@ -220,7 +219,11 @@ impl Tile {
         let per_pixel = self.per_pixel();
         let mut slots = self.features[i * per_pixel..(i + 1) * per_pixel].iter_mut();
         let mut push = |values: &[f32]| {
-            values.iter().filter_map(|v| Some((v, slots.next()?))).filter(|(v, _)| v.is_finite()).for_each(|(v, s)| *s += f64::from(*v));
+            values
+                .iter()
+                .filter_map(|v| Some((v, slots.next()?)))
+                .filter(|(v, _)| v.is_finite())
+                .for_each(|(v, s)| *s += f64::from(*v));
         };
         for aov in aovs {
             match aov {

@@ -35,7 +35,8 @@ impl Hash {
     }
 
     fn shape(&mut self, shape: &Shape) {
-        let Shape { name: _, geometry, world_from_object, flip_normals, material, radiance, interior, exterior } = shape;
+        let Shape { name: _, geometry, world_from_object, flip_normals, material, radiance, interior, exterior } =
+            shape;
         self.debug(&(world_from_object, flip_normals, material, radiance, interior, exterior));
         match geometry {
             Geometry::Mesh(mesh) => {

@@ -32,8 +32,9 @@ pub fn merge(renders: &[(String, Channels)]) -> Result<Channels> {
         }
         weights.push(weight);
     }
-    let total: Vec<f64> =
-        (0..weights[0].len()).map(|i| weights.iter().map(|w| f64::from(w[i])).sum::<f64>().max(f64::MIN_POSITIVE)).collect();
+    let total: Vec<f64> = (0..weights[0].len())
+        .map(|i| weights.iter().map(|w| f64::from(w[i])).sum::<f64>().max(f64::MIN_POSITIVE))
+        .collect();
     let merged = first.iter().enumerate().map(|(c, (name, values))| {
         let power = if name.starts_with("Variance.") { 2 } else { 1 };
         let at = |i: usize| {

@@ -5,9 +5,9 @@
 //! pass light straight, which Mitsuba leaves to chance; the expectation is the same. Media are ignored.
 
 use super::{Integrator, Settings, Work, power_heuristic, survival};
+use crate::Rgb;
 use crate::light::LightSample;
 use crate::world::{Shading, SurfaceHit, World};
-use crate::Rgb;
 use glam::Vec3;
 use translume_bxdf::{Flags, Mode};
 use translume_core::sampler::Sampler;

@@ -19,8 +19,8 @@ use std::f32::consts::{PI, TAU};
 use translume_core::distribution::AliasTable;
 use translume_core::frame::Frame;
 use translume_core::warp;
-use translume_scene::emitter::Emitter;
 use translume_scene::Scene;
+use translume_scene::emitter::Emitter;
 use translume_trace::SurfacePoint;
 use tree::{LightBounds, LightTree};
 

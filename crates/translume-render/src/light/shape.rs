@@ -241,11 +241,10 @@ impl Quadric {
 pub(crate) fn mesh_place(mesh: &TriMesh, face: u32, b: Vec2) -> Place {
     let [i, j, k] = mesh.indices[face as usize].map(|i| i as usize);
     let w = 1.0 - b.x - b.y;
-    let uv = mesh.uvs.as_ref().map_or(b, |uv| Vec2::from(uv[i]) * w + Vec2::from(uv[j]) * b.x + Vec2::from(uv[k]) * b.y);
-    let color = mesh
-        .colors
-        .as_ref()
-        .map_or(Rgb::ONE, |c| Rgb::from(c[i]) * w + Rgb::from(c[j]) * b.x + Rgb::from(c[k]) * b.y);
+    let uv =
+        mesh.uvs.as_ref().map_or(b, |uv| Vec2::from(uv[i]) * w + Vec2::from(uv[j]) * b.x + Vec2::from(uv[k]) * b.y);
+    let color =
+        mesh.colors.as_ref().map_or(Rgb::ONE, |c| Rgb::from(c[i]) * w + Rgb::from(c[j]) * b.x + Rgb::from(c[k]) * b.y);
     Place { uv, color }
 }
 

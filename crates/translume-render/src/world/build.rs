@@ -40,7 +40,8 @@ pub(super) fn world(scene: Arc<Scene>) -> Result<World> {
     let mut parts = Parts::default();
     let (mut baked, mut placed) = (Vec::new(), Vec::new());
     for shape in &scene.shapes {
-        let often = matches!(&shape.geometry, Geometry::Mesh(m) if uses[&Arc::as_ptr(m)] > 1 && m.indices.len() > SMALL);
+        let often =
+            matches!(&shape.geometry, Geometry::Mesh(m) if uses[&Arc::as_ptr(m)] > 1 && m.indices.len() > SMALL);
         match if often { None } else { bake(shape, &DAffine3::IDENTITY) } {
             Some(form) => baked.push((shape, form)),
             None => placed.push(shape),
@@ -223,7 +224,8 @@ fn triangle_light(scene: &Scene, shape: &Shape, mesh: &Arc<TriMesh>, face: usize
     let area = (0.5 * double.length()) as f32;
     let radiance = shape.radiance.expect("called for shapes that shine");
     let form = ShapeForm::Triangle { p, e1, e2, n, area, mesh: mesh.clone(), face: face as u32 };
-    let power = if area > 0.0 && area.is_finite() { area * PI * triangle_luminance(scene, shape, mesh, face) } else { 0.0 };
+    let power =
+        if area > 0.0 && area.is_finite() { area * PI * triangle_luminance(scene, shape, mesh, face) } else { 0.0 };
     ShapeLight { radiance, power, form }
 }
 
@@ -265,11 +267,9 @@ fn bake(shape: &Shape, outer: &DAffine3) -> Option<Baked> {
             normal: (m.matrix3.inverse().transpose() * DVec3::Z).normalize_or(DVec3::Z).as_vec3(),
             radius: scale? as f32,
         }),
-        Geometry::Cylinder { p0, p1, radius } => trace::Shape::Cylinder(trace::Cylinder {
-            p0: point(*p0),
-            p1: point(*p1),
-            radius: (radius * scale?) as f32,
-        }),
+        Geometry::Cylinder { p0, p1, radius } => {
+            trace::Shape::Cylinder(trace::Cylinder { p0: point(*p0), p1: point(*p1), radius: (radius * scale?) as f32 })
+        }
     };
     let form = Form::Quadric(Box::new((shape.geometry.clone(), m.inverse())));
     Some(Baked { shape: quadric, form })

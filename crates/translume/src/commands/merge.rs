@@ -62,7 +62,8 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         ..Default::default()
     };
     write_exr_channels(&args.output, size.unwrap_or_default(), &channels, &options)?;
-    let samples = merged.iter().find(|c| c.0 == merge::WEIGHT).map_or(0.0, |c| c.1.iter().copied().fold(f32::MAX, f32::min));
+    let samples =
+        merged.iter().find(|c| c.0 == merge::WEIGHT).map_or(0.0, |c| c.1.iter().copied().fold(f32::MAX, f32::min));
     ctx.note(format!("{}: {samples} samples per pixel", args.output.display()));
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(),
