@@ -20,6 +20,7 @@ mod fingerprint;
 pub mod integrator;
 pub mod light;
 mod material;
+mod medium;
 pub mod merge;
 pub mod render;
 mod sampler;

@@ -1,6 +1,7 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
 mod path;
+mod volpath;
 
 use crate::film::{Features, Film};
 use crate::{PathSampler, Rgb, World};
@@ -8,6 +9,7 @@ use translume_scene::MediumId;
 use translume_trace::Ray;
 
 pub use path::Path;
+pub use volpath::Volpath;
 
 /// What every method takes from the scene or the user.
 #[derive(Clone, Copy, Debug)]
@@ -46,11 +48,18 @@ pub struct Entry {
 }
 
 /// All methods.
-pub const INTEGRATORS: [Entry; 1] = [Entry {
-    name: "path",
-    about: "path tracing with emitter sampling; media are not seen",
-    make: |settings| Box::new(Path::new(settings)),
-}];
+pub const INTEGRATORS: [Entry; 2] = [
+    Entry {
+        name: "path",
+        about: "path tracing with emitter sampling; media are not seen",
+        make: |settings| Box::new(Path::new(settings)),
+    },
+    Entry {
+        name: "volpath",
+        about: "path tracing through participating media",
+        make: |settings| Box::new(Volpath::new(settings)),
+    },
+];
 
 /// The method called `name`.
 pub fn by_name(name: &str, settings: Settings) -> Option<Box<dyn Integrator>> {

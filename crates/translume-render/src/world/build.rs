@@ -6,6 +6,7 @@
 use super::{Form, Surface, World};
 use crate::light::{Lights, Quadric, ShapeForm, ShapeLight};
 use crate::material::{mean_luminance, passes, prepare};
+use crate::medium::Tracked;
 use crate::texture;
 use crate::{Result, luminance};
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
@@ -67,6 +68,7 @@ fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
     Ok(World {
         lights: Lights::new(&scene, lights, (center, radius)),
         has_null: surfaces.iter().any(|s| s.passes.0),
+        media: scene.media.iter().map(Tracked::new).collect(),
         prepared: prepare(&scene),
         scene,
         tracer,

@@ -5,6 +5,7 @@ mod hit;
 
 use crate::light::{End, Lights, light_of};
 use crate::material::{Prepared, Shader};
+use crate::medium::Tracked;
 use crate::texture;
 use crate::{Error, Result, Rgb};
 use glam::{DAffine3, Vec2, Vec3};
@@ -26,6 +27,7 @@ pub struct World {
     moved: Vec<bool>,
     prepared: Vec<Prepared>,
     lights: Lights,
+    media: Vec<Tracked>,
     /// Some surface lets light pass straight.
     has_null: bool,
     center: Vec3,
@@ -162,14 +164,27 @@ impl World {
                 return Rgb::ZERO;
             }
             let hit = self.surface_hit(&ray, &hit);
-            let shading = self.shading(&hit);
-            value *= shading.bsdf.null_transmittance(shading.to_local(hit.wo));
+            value *= self.straight_through(&hit);
             if value == Rgb::ZERO {
                 return value;
             }
             ray = hit.go_on(&ray);
         }
         Rgb::ZERO
+    }
+
+    /// A medium.
+    pub(crate) fn medium(&self, id: MediumId) -> &Tracked {
+        &self.media[id.0]
+    }
+
+    /// What of the light along the ray that found `hit` passes the surface straight.
+    pub(crate) fn straight_through(&self, hit: &SurfaceHit) -> Rgb {
+        if !self.surfaces[hit.surface as usize].passes.0 {
+            return Rgb::ZERO;
+        }
+        let shading = self.shading(hit);
+        shading.bsdf.null_transmittance(shading.to_local(hit.wo))
     }
 
     #[inline]
