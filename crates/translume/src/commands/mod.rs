@@ -10,9 +10,11 @@ mod demo;
 mod hdr;
 mod image;
 mod man;
+mod merge;
 mod mesh;
 mod page;
 mod pictures;
+mod render;
 mod scene;
 
 use crate::output::Context;
@@ -23,8 +25,10 @@ use crate::output::Context;
 pub(crate) enum Verb {
     Demo(demo::Args),
     Hdr(hdr::Args),
-    Mesh(mesh::Args),
+    Render(render::Args),
+    Merge(merge::Args),
     Scene(scene::Args),
+    Mesh(mesh::Args),
     #[command(subcommand)]
     Image(image::Args),
     Compare(compare::Args),
@@ -38,8 +42,10 @@ impl Verb {
         match self {
             Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
-            Self::Mesh(args) => mesh::run(args, ctx),
+            Self::Render(args) => render::run(args, ctx),
+            Self::Merge(args) => merge::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),
+            Self::Mesh(args) => mesh::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),
