@@ -12,6 +12,7 @@ MORE_SCENES = {"living-room": "scenes/living-room/TungstenRender.exr", "modern-h
 PIXELS = 1e6  # scenes with more are scaled down
 MU = 5000.0
 INNER = 0.04  # of the sides, beside which nothing is measured
+LOAD = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0  # before the bench began
 ABLATION = ["turn 2°", "parallax", "moving object", "hand-held + moving", "large parallax, 60 px"]
 
 
@@ -151,7 +152,7 @@ def machine():
     except OSError:
         model = platform.processor()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
-    return f"{model}, {len(os.sched_getaffinity(0))} cores, OpenCV {cv2.__version__}, translume {commit}"
+    return f"{model}, {len(os.sched_getaffinity(0))} cores (load {LOAD:.1f} from other work), OpenCV {cv2.__version__}, translume {commit}"
 
 
 def markdown(rows):

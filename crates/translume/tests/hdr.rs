@@ -64,6 +64,15 @@ fn the_merge_comes_near_the_truth_and_alignment_is_why() {
     usual(dir.path(), &["-o", "still.exr", "--preset", "tripod"]);
     let (aligned, still) = (quality(&dir.path().join("out.exr")), quality(&dir.path().join("still.exr")));
     assert!(aligned > 34.0 && aligned > still + 8.0, "{aligned} dB, {still} dB without alignment");
+    // The motion of this bracket is one an affine map describes.
+    let json = usual(dir.path(), &["-o", "global.exr", "--align", "global"]);
+    assert!(json["images"].as_array().unwrap().iter().all(|i| i["non_linear"] == false), "{json}");
+    assert!(quality(&dir.path().join("global.exr")) > still + 8.0);
+    usual(dir.path(), &["-o", "a.exr", "--align=off", "--no-deghost"]);
+    usual(dir.path(), &["-o", "b.exr", "--no-align", "--no-deghost"]);
+    for same in ["a.exr", "b.exr"] {
+        assert_eq!(difference(&dir.path().join("still.exr"), &dir.path().join(same)), 0.0);
+    }
 }
 
 #[test]

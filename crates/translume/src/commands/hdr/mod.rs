@@ -66,11 +66,11 @@ pub(crate) struct Args {
     /// What to expect of the capture
     #[arg(long, value_enum, default_value_t = Preset::Handheld, help_heading = "Method")]
     preset: Preset,
-    /// How far to align: not at all, by one affine map per picture, or locally too
-    #[arg(long, value_enum, value_name = "HOW", help_heading = "Method", conflicts_with = "no_align")]
+    /// How far to align [default: nonlinear; off with --preset tripod]
+    #[arg(long, value_enum, value_name = "HOW", help_heading = "Method")]
     align: Option<Align>,
-    /// Take the pictures as registered: the same as --align off
-    #[arg(long, help_heading = "Method")]
+    /// Take the pictures as registered: --align off
+    #[arg(long, help_heading = "Method", conflicts_with = "align")]
     no_align: bool,
     /// Keep what moved
     #[arg(long, help_heading = "Method")]
@@ -135,8 +135,11 @@ enum Preset {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Align {
+    /// Not at all
     Off,
+    /// By one affine map per picture
     Global,
+    /// Also by a field of local displacements
     Nonlinear,
 }
 
@@ -255,15 +258,15 @@ fn params(args: &Args) -> anyhow::Result<Params> {
         Preset::Handheld => Some(GhostParams::default()),
         Preset::Moving => Some(GhostParams { correlation: 0.97, gap: (0.008, 0.035) }),
     };
+    let alignment = match args.align {
+        Some(Align::Off) => Alignment::Off,
+        Some(Align::Global) => Alignment::Global,
+        Some(Align::Nonlinear) => Alignment::NonLinear,
+        None if args.no_align || args.preset == Preset::Tripod => Alignment::Off,
+        None => Alignment::NonLinear,
+    };
     Ok(Params {
-        alignment: match args.align {
-            _ if args.no_align => Alignment::Off,
-            Some(Align::Off) => Alignment::Off,
-            Some(Align::Global) => Alignment::Global,
-            Some(Align::Nonlinear) => Alignment::NonLinear,
-            None if args.preset == Preset::Tripod => Alignment::Off,
-            None => Alignment::NonLinear,
-        },
+        alignment,
         ghosts: ghosts.filter(|_| !args.no_deghost),
         anchor: args.anchor,
         response,
