@@ -136,7 +136,8 @@ fn save(csv: &str, table: &str) -> anyhow::Result<()> {
     let model = machine.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ")).map_or("unknown", |m| m.1);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let head = format!(
-        "# Ray throughput on one thread\n\nMachine: {model}, {cores} cores. Medians of {ROUNDS} interleaved rounds.\n\n"
+        "# Ray throughput on one thread\n\nMachine: {model}, {cores} cores. Medians of {ROUNDS} interleaved rounds:\n\
+         absolute figures depend on what else runs, ratios hardly do. “portable” is the same code without AVX2.\n\n"
     );
     std::fs::write(folder.join("trace-throughput.csv"), format!("# {model}; {cores} cores\n{csv}"))?;
     std::fs::write(folder.join("trace-throughput.md"), head + table)?;

@@ -37,7 +37,7 @@ pub struct Aligned {
 /// A global motion must lower the cost to this share of standing still to be believed.
 const MUST_IMPROVE: f64 = 0.985;
 /// A local field, which has a hundred times the freedom, to this share of the global motion's.
-const FIELD_MUST_IMPROVE: f64 = 0.93;
+const FIELD_MUST_IMPROVE: f64 = 0.96;
 /// A global motion below this many pixels everywhere is none.
 const STILL: f32 = 0.12;
 

@@ -1,6 +1,6 @@
 //! Reading any supported file.
 
-use crate::formats::{exr_read, jpeg, pfm, png, radiance, tiff};
+use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tiff};
 use crate::raster::Raster;
 use crate::{Codes, Error, Picture, Result, Samples, linear};
 use image::Rgb32FImage;
@@ -124,6 +124,9 @@ fn picture(raster: Raster, path: &Path) -> Result<Picture> {
 fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
     let io = |e| Error::io(path, e);
     let mut file = File::open(path).map_err(io)?;
+    if raw::is_raw(path) {
+        return raw::read(path);
+    }
     let length = file.metadata().map_err(io)?.len();
     let mut head = Vec::with_capacity(16);
     (&mut file).take(16).read_to_end(&mut head).map_err(io)?;

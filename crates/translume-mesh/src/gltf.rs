@@ -292,6 +292,28 @@ impl Asset {
         self.floats(index).map_err(|fault| fault.at(&self.path))
     }
 
+    /// The bytes of a buffer view, as images use them.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when there is no such view or its buffer is shorter.
+    pub fn bytes(&self, view: usize) -> Result<&[u8]> {
+        let read = || -> Parsed<&[u8]> {
+            let Some(v) = self.document.buffer_views.get(view) else {
+                return invalid(format!("no buffer view {view}"));
+            };
+            let Some(buffer) = self.buffers.get(v.buffer.get()) else {
+                return invalid(format!("buffer view {view} uses a buffer that is not there"));
+            };
+            let buffer = buffer.as_ref().map_err(|e| Fault::Invalid(format!("buffer {}: {e}", v.buffer.0)))?;
+            let end = v.byte_offset.get().saturating_add(v.byte_length.get());
+            match buffer.get(v.byte_offset.get()..end) {
+                Some(bytes) => Ok(bytes),
+                None => invalid(format!("buffer view {view} reaches beyond its buffer")),
+            }
+        };
+        read().map_err(|fault| fault.at(&self.path))
+    }
+
     fn floats<const N: usize>(&self, index: usize) -> Parsed<Vec<[f32; N]>> {
         let rows = self.rows(index)?;
         if rows.components < N {

@@ -318,8 +318,17 @@ fn read_lines<R: BufRead + Seek>(
         let decompress = |chunk| guard::run(|| UncompressedBlock::decompress_chunk(chunk, &meta, false));
         let blocks: Vec<_> = batch.into_par_iter().map(|chunk| chunk.map(decompress)).collect();
         for block in blocks {
-            let block = block.map_err(|e| failed(path, e))?.ok_or_else(|| Error::invalid(path, DAMAGED_BLOCK))?;
-            block.map_err(|e| failed(path, e))?.lines(&meta.headers[part].channels).for_each(&mut take);
+            let damaged = || Error::invalid(path, DAMAGED_BLOCK);
+            let block = block.map_err(|e| failed(path, e))?.ok_or_else(damaged)?.map_err(|e| failed(path, e))?;
+            // A wrong offset may lead to a block of another part or level, which has other lines.
+            let header = &meta.headers[part];
+            let end = block.index.pixel_position + block.index.pixel_size;
+            let inside = end.x() <= header.layer_size.x() && end.y() <= header.layer_size.y();
+            let expected = block.index.pixel_size.area() * header.channels.bytes_per_pixel;
+            if block.index.layer != part || block.index.level != Vec2(0, 0) || !inside || block.data.len() != expected {
+                return Err(damaged());
+            }
+            block.lines(&header.channels).for_each(&mut take);
         }
     }
 }

@@ -10,9 +10,12 @@ mod demo;
 mod hdr;
 mod image;
 mod man;
+mod merge;
 mod mesh;
 mod page;
 mod pictures;
+mod render;
+mod scene;
 
 use crate::output::Context;
 
@@ -22,6 +25,9 @@ use crate::output::Context;
 pub(crate) enum Verb {
     Demo(demo::Args),
     Hdr(hdr::Args),
+    Render(render::Args),
+    Merge(merge::Args),
+    Scene(scene::Args),
     Mesh(mesh::Args),
     #[command(subcommand)]
     Image(image::Args),
@@ -36,6 +42,9 @@ impl Verb {
         match self {
             Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Render(args) => render::run(args, ctx),
+            Self::Merge(args) => merge::run(args, ctx),
+            Self::Scene(args) => scene::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),

@@ -16,7 +16,8 @@ pub(super) struct Set {
 }
 
 /// File endings of pictures, for folders.
-const ENDINGS: &[&str] = &["jpg", "jpeg", "png", "tif", "tiff", "exr", "hdr", "pfm"];
+const ENDINGS: &[&str] =
+    &["jpg", "jpeg", "png", "tif", "tiff", "exr", "hdr", "pfm", "dng", "cr2", "cr3", "nef", "arw", "orf", "rw2", "raf"];
 
 /// A file's name without folder and ending.
 pub(super) fn stem(name: &str) -> String {

@@ -1,0 +1,283 @@
+//! Lights: what they emit, how one is chosen, how points on them and directions to them are drawn.
+//!
+//! Every emitting triangle is a light of its own. [`Lights::sample`] is emitter sampling as integrators want it: choice
+//! (infinite lights by equal chances, all others by a [`tree`]) and place in one step, with the density of both together.
+//! [`Lights::start`] begins light paths, with the densities of position and direction apart.
+
+mod environment;
+mod point;
+mod shape;
+mod tree;
+
+use crate::world::Surface;
+use crate::{Rgb, luminance};
+use environment::Environment;
+use glam::{Vec2, Vec3};
+use point::PointLight;
+pub(crate) use shape::{Form as ShapeForm, Quadric, ShapeLight, mesh_place, uv_of_sphere};
+use std::f32::consts::{PI, TAU};
+use translume_core::distribution::AliasTable;
+use translume_core::frame::Frame;
+use translume_core::warp;
+use translume_scene::Scene;
+use translume_scene::emitter::Emitter;
+use translume_trace::SurfacePoint;
+use tree::{LightBounds, LightTree};
+
+/// The other end of a connection to a light.
+#[derive(Clone, Copy, Debug)]
+pub enum End {
+    /// A point of an emitting surface.
+    Surface(SurfacePoint),
+    /// A point in space.
+    Point(Vec3),
+    /// Infinitely far away.
+    Far,
+}
+
+/// A direction to a light.
+#[derive(Clone, Copy, Debug)]
+pub struct LightSample {
+    /// Unit direction to the light.
+    pub wi: Vec3,
+    /// Radiance from there; for lights without extent the irradiance on a plane that faces them.
+    pub radiance: Rgb,
+    /// Density per solid angle, choice included; for lights without extent the probability of the choice.
+    pub pdf_w: f32,
+    /// The light has no extent: no other way of sampling finds it.
+    pub delta: bool,
+    /// Where the light is.
+    pub end: End,
+}
+
+/// The begin of a light path.
+#[derive(Clone, Copy, Debug)]
+pub struct LightStart {
+    /// Where from.
+    pub origin: End,
+    /// A point on the ray (for infinite lights: outside the scene).
+    pub p: Vec3,
+    /// The emitting surface's normal; for lights without surface the direction.
+    pub n: Vec3,
+    /// Unit direction.
+    pub direction: Vec3,
+    /// Radiance along it (for points: intensity; parallel light: irradiance).
+    pub radiance: Rgb,
+    /// Probability of the light.
+    pub choice: f32,
+    /// Density of the position per area (infinite lights: per area perpendicular to the direction; points: 1).
+    pub pdf_a: f32,
+    /// Density of the direction per solid angle (parallel light: 1).
+    pub pdf_w: f32,
+    /// Number of the light.
+    pub light: usize,
+}
+
+/// A light.
+#[derive(Clone, Debug)]
+pub(crate) enum Light {
+    Shape(ShapeLight),
+    Point(PointLight),
+    /// Direction of travel and irradiance.
+    Directional {
+        direction: Vec3,
+        irradiance: Rgb,
+    },
+    Environment(Box<Environment>),
+    Constant {
+        radiance: Rgb,
+    },
+}
+
+/// All lights of a scene.
+pub struct Lights {
+    pub(crate) lights: Vec<Light>,
+    tree: LightTree,
+    /// Numbers of the infinitely far ones.
+    far: Vec<usize>,
+    /// For starting paths: by power.
+    by_power: Option<AliasTable>,
+    /// The scene's bounding sphere.
+    center: Vec3,
+    radius: f32,
+}
+
+impl Lights {
+    /// `shapes` are the lights of surfaces, in the order that [`Surface::first_light`] counts.
+    pub(crate) fn new(scene: &Scene, shapes: Vec<ShapeLight>, (center, radius): (Vec3, f32)) -> Self {
+        let mut lights: Vec<Light> = shapes.into_iter().map(Light::Shape).collect();
+        lights.extend(scene.emitters.iter().map(|e| compile(scene, e)));
+        let bounds: Vec<Option<LightBounds>> = lights
+            .iter()
+            .map(|light| match light {
+                Light::Shape(s) => s.bounds(),
+                Light::Point(p) => Some(p.bounds()),
+                _ => None,
+            })
+            .collect();
+        let far = (0..lights.len()).filter(|&i| lights[i].is_far() && lights[i].far_power(radius) > 0.0).collect();
+        let powers: Vec<f32> = lights
+            .iter()
+            .zip(&bounds)
+            .map(|(light, bounds)| bounds.map_or_else(|| light.far_power(radius), |b| b.power).clamp(0.0, f32::MAX))
+            .collect();
+        Self { tree: LightTree::new(&bounds), far, by_power: AliasTable::new(&powers), lights, center, radius }
+    }
+
+    /// Whether nothing shines.
+    pub fn is_empty(&self) -> bool {
+        self.tree.is_empty() && self.far.is_empty()
+    }
+
+    /// How many lights there are; each emitting triangle counts.
+    pub fn len(&self) -> usize {
+        self.lights.len()
+    }
+
+    /// Chance that an infinite light is chosen.
+    fn far_share(&self) -> f32 {
+        let far = self.far.len() as f32;
+        far / (far + if self.tree.is_empty() { 0.0 } else { 1.0 })
+    }
+
+    /// Draws a direction to a light from `p`. `n` is the receiving normal, or zero where light may come from any side. `None`:
+    /// the light that was chosen does not shine here.
+    #[inline]
+    pub fn sample(&self, scene: &Scene, p: Vec3, n: Vec3, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        if self.is_empty() {
+            return None;
+        }
+        let share = self.far_share();
+        let (index, choice) = if u_choice < share {
+            let i = (u_choice / share * self.far.len() as f32) as usize;
+            (self.far[i.min(self.far.len() - 1)], share / self.far.len() as f32)
+        } else {
+            let u = ((u_choice - share) / (1.0 - share)).min(warp::ONE_MINUS_EPSILON);
+            let (index, pmf) = self.tree.sample(p, n, u)?;
+            (index, pmf * (1.0 - share))
+        };
+        let mut sample = match &self.lights[index] {
+            Light::Shape(s) => s.sample(scene, p, u)?,
+            Light::Point(s) => s.sample(scene, p)?,
+            Light::Directional { direction, irradiance } => {
+                LightSample { wi: -*direction, radiance: *irradiance, pdf_w: 1.0, delta: true, end: End::Far }
+            }
+            Light::Environment(e) => e.sample(u)?,
+            Light::Constant { radiance } => LightSample {
+                wi: warp::uniform_sphere(u.x, u.y),
+                radiance: *radiance,
+                pdf_w: warp::UNIFORM_SPHERE_PDF,
+                delta: false,
+                end: End::Far,
+            },
+        };
+        sample.pdf_w *= choice;
+        (sample.pdf_w > 0.0 && sample.pdf_w.is_finite() && sample.radiance != Rgb::ZERO).then_some(sample)
+    }
+
+    /// Density with which [`Lights::sample`] at (`p`, `n`) draws the direction to the point `q` of light `light`, whose
+    /// normal there is `nq`.
+    #[inline]
+    pub fn pdf_surface(&self, p: Vec3, n: Vec3, light: usize, q: Vec3, nq: Vec3) -> f32 {
+        let Light::Shape(shape) = &self.lights[light] else { return 0.0 };
+        (1.0 - self.far_share()) * self.tree.probability(p, n, light) * shape.pdf_w(p, q, nq)
+    }
+
+    /// Radiance that arrives from infinitely far along −`d`, and the density with which [`Lights::sample`] draws `d`.
+    #[inline]
+    pub fn far_radiance(&self, d: Vec3) -> (Rgb, f32) {
+        let (mut radiance, mut pdf) = (Rgb::ZERO, 0.0);
+        for &i in &self.far {
+            match &self.lights[i] {
+                Light::Environment(e) => {
+                    let (value, density) = e.eval_pdf(d);
+                    (radiance, pdf) = (radiance + value, pdf + density);
+                }
+                Light::Constant { radiance: value } => {
+                    (radiance, pdf) = (radiance + *value, pdf + warp::UNIFORM_SPHERE_PDF);
+                }
+                _ => {}
+            }
+        }
+        (radiance, if self.far.is_empty() { 0.0 } else { pdf * self.far_share() / self.far.len() as f32 })
+    }
+
+    /// Begins a light path: a light by its power, a place on it by `u`, a direction by `v`.
+    pub fn start(&self, scene: &Scene, u_choice: f32, u: Vec2, v: Vec2) -> Option<LightStart> {
+        let (light, choice) = self.by_power.as_ref()?.sample(u_choice);
+        let start = match &self.lights[light] {
+            Light::Shape(s) => s.start(scene, u, v),
+            Light::Point(s) => s.start(scene, u),
+            Light::Directional { direction, irradiance } => self.from_far(*direction, *irradiance, 1.0, v),
+            Light::Environment(e) => {
+                let s = e.sample(u)?;
+                self.from_far(-s.wi, s.radiance, s.pdf_w, v)
+            }
+            Light::Constant { radiance } => {
+                self.from_far(warp::uniform_sphere(u.x, u.y), *radiance, warp::UNIFORM_SPHERE_PDF, v)
+            }
+        }?;
+        Some(LightStart { choice, light, ..start })
+    }
+
+    /// Chance that [`Lights::start`] chooses `light`.
+    pub fn start_probability(&self, light: usize) -> f32 {
+        self.by_power.as_ref().map_or(0.0, |t| t.probability(light))
+    }
+
+    /// A ray along `direction` through the scene's bounding sphere.
+    fn from_far(&self, direction: Vec3, radiance: Rgb, pdf_w: f32, v: Vec2) -> Option<LightStart> {
+        let disk = warp::uniform_disk(v.x, v.y) * self.radius;
+        let frame = Frame::from_normal(direction);
+        Some(LightStart {
+            origin: End::Far,
+            p: self.center + frame.s * disk.x + frame.t * disk.y - direction * self.radius,
+            n: direction,
+            direction,
+            radiance,
+            choice: 1.0,
+            pdf_a: 1.0 / (PI * self.radius * self.radius),
+            pdf_w,
+            light: 0,
+        })
+    }
+}
+
+impl Light {
+    fn is_far(&self) -> bool {
+        matches!(self, Self::Directional { .. } | Self::Environment(_) | Self::Constant { .. })
+    }
+
+    /// Power that reaches a scene of this radius.
+    fn far_power(&self, radius: f32) -> f32 {
+        let disk = PI * radius * radius;
+        match self {
+            Self::Directional { irradiance, .. } => luminance(*irradiance) * disk,
+            Self::Environment(e) => e.mean_luminance() * 2.0 * TAU * disk,
+            Self::Constant { radiance } => luminance(*radiance) * 2.0 * TAU * disk,
+            _ => 0.0,
+        }
+    }
+}
+
+fn compile(scene: &Scene, emitter: &Emitter) -> Light {
+    match emitter {
+        Emitter::Directional { direction, irradiance } => {
+            Light::Directional { direction: direction.normalize_or(glam::DVec3::Z).as_vec3(), irradiance: *irradiance }
+        }
+        Emitter::Constant { radiance } => Light::Constant { radiance: *radiance },
+        Emitter::Environment { image, scale, world_from_light } => {
+            match Environment::new(image.clone(), *scale, world_from_light) {
+                Some(environment) => Light::Environment(Box::new(environment)),
+                None => Light::Constant { radiance: Rgb::ZERO },
+            }
+        }
+        _ => Light::Point(PointLight::new(scene, emitter)),
+    }
+}
+
+/// The number of the light that a hit surface's primitive is.
+#[inline]
+pub(crate) fn light_of(surface: &Surface, prim: u32) -> Option<usize> {
+    surface.first_light.map(|first| (first + prim) as usize)
+}

@@ -1,0 +1,208 @@
+//! From the description of a material to the BSDF at a shading point.
+//!
+//! Adapters that turn the frame are resolved here: of `TwoSided` the side that `wo` is on, with the normal turned to it;
+//! bump and normal maps bend the frame. Limit: of a blend, the frame that its first part bends serves both.
+
+use crate::texture::{self, Place};
+use crate::world::SurfaceHit;
+use crate::{Rgb, luminance};
+use glam::Vec3;
+use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
+use translume_core::frame::Frame;
+use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness};
+use translume_scene::{MaterialId, Scene, TextureId};
+
+/// What is tabulated once per material.
+pub(crate) enum Prepared {
+    Nothing,
+    Plastic(bxdf::Plastic),
+    Coat(Box<bxdf::Coat>),
+}
+
+pub(crate) fn prepare(scene: &Scene) -> Vec<Prepared> {
+    let one = |m: &translume_scene::material::Material| match &m.model {
+        Model::Plastic(p) => Prepared::Plastic(bxdf::Plastic::new(p.eta, Rgb::ZERO, Rgb::ONE, p.nonlinear)),
+        Model::RoughPlastic { plastic, distribution, alpha } => {
+            Prepared::Coat(Box::new(bxdf::Coat::new(*distribution, *alpha, plastic.eta)))
+        }
+        _ => Prepared::Nothing,
+    };
+    scene.materials.iter().map(one).collect()
+}
+
+/// Materials that let light pass straight, and those that light can go through in any way.
+pub(crate) fn passes(scene: &Scene, id: MaterialId) -> (bool, bool) {
+    let both = |a: (bool, bool), b: (bool, bool)| (a.0 || b.0, a.1 || b.1);
+    match &scene.materials[id.0].model {
+        Model::Null | Model::ThinDielectric(_) => (true, true),
+        Model::Dielectric(_) | Model::RoughDielectric { .. } => (false, true),
+        Model::Principled(p) => (false, scene.constant(p.spec_trans) != Some(Rgb::ZERO)),
+        Model::TwoSided { front, back } => both(passes(scene, *front), passes(scene, *back)),
+        Model::Mask { opacity, nested } => {
+            let open = scene.constant(*opacity) != Some(Rgb::ONE);
+            both((open, open), passes(scene, *nested))
+        }
+        Model::BumpMap { nested, .. } | Model::NormalMap { nested, .. } => passes(scene, *nested),
+        Model::Blend { first, second, .. } => both(passes(scene, *first), passes(scene, *second)),
+        _ => (false, false),
+    }
+}
+
+pub(crate) struct Shader<'a> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) prepared: &'a [Prepared],
+    pub(crate) place: Place,
+}
+
+impl<'a> Shader<'a> {
+    fn rgb(&self, id: TextureId) -> Rgb {
+        texture::eval(self.scene, id, &self.place)
+    }
+
+    fn unit(&self, id: TextureId) -> Rgb {
+        self.rgb(id).clamp(Rgb::ZERO, Rgb::ONE)
+    }
+
+    fn number(&self, id: TextureId) -> f32 {
+        texture::eval_1d(self.scene, id, &self.place)
+    }
+
+    /// The BSDF of material `id` at `hit`, whose frame is bent as the material wants it.
+    pub(crate) fn bsdf(&self, id: MaterialId, hit: &mut SurfaceHit) -> Bsdf<'a> {
+        match &self.scene.materials[id.0].model {
+            Model::Null => Bsdf::new(bxdf::Model::Null),
+            Model::Diffuse { reflectance } => bxdf::Diffuse { reflectance: self.unit(*reflectance) }.into(),
+            Model::Dielectric(d) => {
+                let (eta, specular_reflectance, specular_transmittance) = self.glass(d);
+                bxdf::Dielectric { eta, specular_reflectance, specular_transmittance }.into()
+            }
+            Model::ThinDielectric(d) => {
+                let (eta, specular_reflectance, specular_transmittance) = self.glass(d);
+                bxdf::ThinDielectric { eta, specular_reflectance, specular_transmittance }.into()
+            }
+            Model::RoughDielectric { dielectric, roughness } => {
+                let (eta, specular_reflectance, specular_transmittance) = self.glass(dielectric);
+                let microfacets = self.microfacets(roughness);
+                bxdf::RoughDielectric { eta, microfacets, specular_reflectance, specular_transmittance }.into()
+            }
+            Model::Conductor(c) => self.metal(c).into(),
+            Model::RoughConductor { conductor, roughness } => {
+                let microfacets = self.microfacets(roughness);
+                bxdf::RoughConductor { metal: self.metal(conductor), microfacets }.into()
+            }
+            Model::Plastic(p) => {
+                let Prepared::Plastic(mut plastic) = self.prepared[id.0] else { return Bsdf::new(bxdf::Model::Null) };
+                (plastic.diffuse_reflectance, plastic.specular_reflectance) =
+                    (self.unit(p.diffuse_reflectance), self.unit(p.specular_reflectance));
+                plastic.into()
+            }
+            Model::RoughPlastic { plastic: p, .. } => {
+                let Prepared::Coat(coat) = &self.prepared[id.0] else { return Bsdf::new(bxdf::Model::Null) };
+                bxdf::RoughPlastic {
+                    coat,
+                    diffuse_reflectance: self.unit(p.diffuse_reflectance),
+                    specular_reflectance: self.unit(p.specular_reflectance),
+                    nonlinear: p.nonlinear,
+                }
+                .into()
+            }
+            Model::Principled(p) => self.principled(p).into(),
+            Model::TwoSided { front, back } => {
+                let behind = hit.wo.dot(hit.frame.n) < 0.0;
+                if behind {
+                    hit.frame = Frame { n: -hit.frame.n, ..hit.frame };
+                }
+                self.bsdf(if behind { *back } else { *front }, hit)
+            }
+            Model::Mask { opacity, nested } => {
+                let opacity = self.number(*opacity);
+                self.bsdf(*nested, hit).with_opacity(opacity)
+            }
+            Model::BumpMap { height, scale, nested } => {
+                bump(hit, texture::gradient(self.scene, *height, &self.place) * *scale);
+                self.bsdf(*nested, hit)
+            }
+            Model::NormalMap { normals, scale, nested } => {
+                let n = self.rgb(*normals) * 2.0 - Rgb::ONE;
+                bend(hit, hit.frame.to_world(Vec3::new(n.x * scale, n.y * scale, n.z)));
+                self.bsdf(*nested, hit)
+            }
+            Model::Blend { weight, first, second } => {
+                let weight = self.number(*weight).clamp(0.0, 1.0);
+                match weight {
+                    0.0 => self.bsdf(*first, hit),
+                    1.0 => self.bsdf(*second, hit),
+                    _ => {
+                        let first = self.bsdf(*first, hit);
+                        let second = self.bsdf(*second, &mut hit.clone());
+                        Box::new(bxdf::Blend { weight, first, second }).into()
+                    }
+                }
+            }
+        }
+    }
+
+    fn glass(&self, d: &Dielectric) -> (f32, Rgb, Rgb) {
+        (d.eta, self.unit(d.specular_reflectance), self.unit(d.specular_transmittance))
+    }
+
+    fn metal(&self, c: &Conductor) -> bxdf::Conductor {
+        bxdf::Conductor {
+            eta: self.rgb(c.eta),
+            k: self.rgb(c.k),
+            specular_reflectance: self.unit(c.specular_reflectance),
+        }
+    }
+
+    fn microfacets(&self, r: &Roughness) -> Microfacets {
+        Microfacets::new(r.distribution, self.number(r.alpha_u), self.number(r.alpha_v))
+    }
+
+    fn principled(&self, p: &Principled) -> bxdf::Principled {
+        let number = |id: TextureId| self.number(id).clamp(0.0, 1.0);
+        bxdf::Principled {
+            base_color: self.unit(p.base_color),
+            roughness: number(p.roughness),
+            anisotropic: number(p.anisotropic),
+            metallic: number(p.metallic),
+            spec_trans: number(p.spec_trans),
+            eta: p.eta,
+            spec_tint: number(p.spec_tint),
+            sheen: number(p.sheen),
+            sheen_tint: number(p.sheen_tint),
+            flatness: number(p.flatness),
+            clearcoat: number(p.clearcoat),
+            clearcoat_gloss: number(p.clearcoat_gloss),
+        }
+    }
+}
+
+/// Bends the frame to the height field of this gradient (by u and v).
+fn bump(hit: &mut SurfaceHit, gradient: glam::Vec2) {
+    let n = hit.frame.n;
+    let lift = |d: Vec3, slope: f32| d + n * (slope - n.dot(d));
+    let bent = lift(hit.dp_du, gradient.x).cross(lift(hit.dp_dv, gradient.y));
+    bend(hit, if bent.dot(n) < 0.0 { -bent } else { bent });
+}
+
+/// Makes `normal`, of any length, the shading normal.
+fn bend(hit: &mut SurfaceHit, normal: Vec3) {
+    if let Some(n) = normal.try_normalize() {
+        hit.unbent = Some(hit.frame.n);
+        hit.frame = Frame::from_normal_tangent(n, hit.dp_du);
+    }
+}
+
+/// The mean luminance of a texture, for choosing among lights.
+pub(crate) fn mean_luminance(scene: &Scene, id: TextureId) -> f32 {
+    use translume_scene::texture::Texture;
+    match &scene.textures[id.0] {
+        Texture::Constant(rgb) | Texture::VertexColor(rgb) => luminance(*rgb),
+        Texture::Checkerboard(b) => 0.5 * (mean_luminance(scene, b.color0) + mean_luminance(scene, b.color1)),
+        Texture::Bitmap(b) => {
+            let raw = b.image.pixels.as_raw();
+            let pixels = raw.chunks_exact(3).map(|p| f64::from(luminance(Rgb::new(p[0], p[1], p[2]) * b.scale)));
+            (pixels.sum::<f64>() / (raw.len() / 3).max(1) as f64) as f32
+        }
+    }
+}

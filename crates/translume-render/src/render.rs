@@ -1,0 +1,164 @@
+//! The driver: tiles in parallel, pass after pass, until there are enough samples, the time is up, or someone says stop.
+
+use crate::camera::Camera;
+use crate::film::{Film, Tile};
+use crate::filter::FilterSampler;
+use crate::integrator::{self, Integrator, Work};
+use crate::{PathSampler, World};
+use glam::Vec2;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use translume_core::sampler::Sampler;
+use translume_scene::sensor::{Crop, Sensor};
+
+/// A picture to take.
+pub struct Shot<'a> {
+    /// Of what.
+    pub world: &'a World,
+    /// How.
+    pub integrator: &'a dyn Integrator,
+    /// Of the random numbers.
+    pub seed: u64,
+    camera: Camera,
+    filter: FilterSampler,
+    /// Upper left pixel of the part that is rendered, and the whole film's size.
+    window: ([u32; 2], [u32; 2]),
+}
+
+/// When to stop.
+#[derive(Clone, Copy, Debug)]
+pub struct Until {
+    /// Samples per pixel.
+    pub samples: u64,
+    /// Time from now; every pixel gets one sample in any case.
+    pub time: Option<Duration>,
+}
+
+/// How it goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Samples per pixel so far, the fewest of any pixel.
+    pub samples: u64,
+    /// Rays traced by this run.
+    pub rays: u64,
+    /// Time spent by this run.
+    pub elapsed: Duration,
+    /// Fraction done, by samples or time.
+    pub fraction: f64,
+}
+
+/// The longest that a pass may take before someone is told how it goes.
+const PASS: Duration = Duration::from_millis(700);
+
+impl<'a> Shot<'a> {
+    /// `size` replaces the film's own size; its crop window is scaled along.
+    pub fn new(
+        world: &'a World,
+        integrator: &'a dyn Integrator,
+        sensor: &Sensor,
+        size: Option<[u32; 2]>,
+        seed: u64,
+    ) -> Self {
+        let full = size.unwrap_or(sensor.film.size);
+        let whole = Crop { offset: [0, 0], size: full };
+        let window = sensor.film.crop.map_or(whole, |c| scaled(c, sensor.film.size, full));
+        Self {
+            world,
+            integrator,
+            seed,
+            camera: Camera::new(sensor, full),
+            filter: FilterSampler::new(&sensor.film.filter),
+            window: (window.offset, window.size),
+        }
+    }
+
+    /// Width and height of the picture.
+    pub fn size(&self) -> [u32; 2] {
+        self.window.1
+    }
+
+    /// Adds samples to `film` until `until` is reached or `stop` is set; `tell` hears how it goes, about once a second.
+    pub fn render(
+        &self,
+        film: &mut Film,
+        until: &Until,
+        stop: &AtomicBool,
+        tell: &mut dyn FnMut(&Film, &Progress),
+    ) -> Progress {
+        let start = Instant::now();
+        let rays = AtomicU64::new(0);
+        let deadline = until.time.map(|t| start + t);
+        let late = || deadline.is_some_and(|d| Instant::now() >= d);
+        let first = film.samples().0;
+        let mut chunk = 1;
+        loop {
+            let done = film.samples().0;
+            let elapsed = start.elapsed();
+            let by_samples = (done - first) as f64 / (until.samples.saturating_sub(first)).max(1) as f64;
+            let by_time = until.time.map_or(0.0, |t| elapsed.as_secs_f64() / t.as_secs_f64().max(1e-9));
+            let progress = Progress {
+                samples: done,
+                rays: rays.load(Ordering::Relaxed),
+                elapsed,
+                fraction: by_samples.max(by_time).min(1.0),
+            };
+            if done > first {
+                tell(film, &progress);
+            }
+            let stopped = stop.load(Ordering::Relaxed);
+            if done >= until.samples || stopped || (done > 0 && late()) {
+                return progress;
+            }
+            let goal = (done + chunk).min(until.samples);
+            let began = Instant::now();
+            let aovs = film.aovs().to_vec();
+            let features = integrator::wants_features(film);
+            film.tiles.par_iter_mut().filter(|t| t.samples < goal).for_each(|tile| {
+                // A tile that has begun is finished, so that all its pixels have the same number of samples.
+                while tile.samples < goal && !stop.load(Ordering::Relaxed) && (tile.samples == 0 || !late()) {
+                    let n = if deadline.is_some() { 1 } else { goal - tile.samples };
+                    rays.fetch_add(self.sample_tile(tile, &aovs, features, n), Ordering::Relaxed);
+                }
+            });
+            let took = began.elapsed().as_secs_f64().max(1e-6);
+            let wanted = (chunk as f64 * PASS.as_secs_f64() / took) as u64;
+            chunk = wanted.clamp(1, 4 * chunk);
+        }
+    }
+
+    /// Gives each pixel of the tile `n` more samples; returns the rays.
+    fn sample_tile(&self, tile: &mut Tile, aovs: &[crate::film::Aov], features: bool, n: u64) -> u64 {
+        let mut rays = 0;
+        let (offset, _) = self.window;
+        for i in 0..tile.sums.len() {
+            let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
+            let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
+            // The stream is the place on the film, so that a crop has the pixels of the whole.
+            let stream = u64::from(y) << 32 | u64::from(x);
+            for sample in tile.samples..tile.samples + n {
+                let mut work = Work { sampler: PathSampler::new(self.seed, stream, sample), rays: 0 };
+                let (shift, weight) = self.filter.sample(work.sampler.next_2d());
+                let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
+                let ray = self.camera.ray(film, work.sampler.next_2d());
+                if features {
+                    if let Some(f) = integrator::features(self.world, &ray) {
+                        tile.add_features(aovs, i, &f);
+                    }
+                }
+                tile.add(i, self.integrator.radiance(self.world, &ray, &mut work) * weight);
+                rays += work.rays;
+            }
+        }
+        tile.samples += n;
+        rays
+    }
+}
+
+/// A crop window of a film of size `from`, for one of size `to`.
+fn scaled(crop: Crop, from: [u32; 2], to: [u32; 2]) -> Crop {
+    let scale = |v: u32, a: usize| (f64::from(v) * f64::from(to[a]) / f64::from(from[a])).round() as u32;
+    let offset = [scale(crop.offset[0], 0).min(to[0] - 1), scale(crop.offset[1], 1).min(to[1] - 1)];
+    let size = [0, 1].map(|a| scale(crop.size[a], a).clamp(1, to[a] - offset[a]));
+    Crop { offset, size }
+}

@@ -1,0 +1,209 @@
+//! A scene made ready for light transport.
+
+mod build;
+mod hit;
+
+use crate::light::{End, Lights, light_of};
+use crate::material::{Prepared, Shader};
+use crate::medium::Tracked;
+use crate::texture;
+use crate::{Error, Result, Rgb};
+use glam::{DAffine3, Vec2, Vec3};
+pub use hit::{Shading, SurfaceHit};
+use std::sync::Arc;
+use translume_mesh::TriMesh;
+use translume_scene::{MaterialId, MediumId, Scene, TextureId};
+use translume_trace::{Ray, SurfacePoint};
+
+/// A compiled scene.
+pub struct World {
+    scene: Arc<Scene>,
+    tracer: translume_trace::Scene,
+    /// Surfaces, geometry after geometry.
+    surfaces: Vec<Surface>,
+    /// Per instance of the tracer: where its geometry's surfaces begin.
+    bases: Vec<u32>,
+    /// Per instance: whether its transform is not the identity.
+    moved: Vec<bool>,
+    prepared: Vec<Prepared>,
+    lights: Lights,
+    media: Vec<Tracked>,
+    /// Some surface lets light pass straight.
+    has_null: bool,
+    center: Vec3,
+    radius: f32,
+}
+
+/// What is known of a surface beside its place.
+#[derive(Clone)]
+pub(crate) struct Surface {
+    form: Form,
+    material: MaterialId,
+    /// Light may pass the surface straight; in any way.
+    passes: (bool, bool),
+    radiance: Option<TextureId>,
+    /// Number of the light that the first primitive is.
+    pub(crate) first_light: Option<u32>,
+    flip: bool,
+    interior: Option<MediumId>,
+    exterior: Option<MediumId>,
+}
+
+#[derive(Clone)]
+enum Form {
+    Mesh(Arc<TriMesh>),
+    /// A quadric; the map leads from the tracer's geometry to its own space.
+    Quadric(Box<(translume_scene::Geometry, DAffine3)>),
+}
+
+impl World {
+    /// Compiles `scene`: builds the acceleration structures, tabulates materials, collects lights.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`]; [`Error::Scene`] for a scene without light.
+    pub fn new(scene: Arc<Scene>) -> Result<Self> {
+        let world = build::world(scene)?;
+        if world.lights.is_empty() {
+            return Err(Error::Scene("the scene has no light that shines: the picture would be black".into()));
+        }
+        Ok(world)
+    }
+
+    /// The description.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// All lights.
+    pub fn lights(&self) -> &Lights {
+        &self.lights
+    }
+
+    /// Centre and radius of a sphere around all surfaces.
+    pub fn bounding_sphere(&self) -> (Vec3, f32) {
+        (self.center, self.radius)
+    }
+
+    /// What the ray meets first.
+    #[inline]
+    pub fn intersect(&self, ray: &Ray) -> Option<SurfaceHit> {
+        let hit = self.tracer.intersect(ray)?;
+        Some(self.surface_hit(ray, &hit))
+    }
+
+    /// What the ray meets first when shapes that shine are not there.
+    pub fn intersect_behind_lights(&self, ray: &Ray) -> Option<SurfaceHit> {
+        let (mut ray, mut t) = (*ray, 0.0);
+        loop {
+            let hit = self.intersect(&ray)?;
+            if self.surfaces[hit.surface as usize].radiance.is_none() {
+                return Some(SurfaceHit { t: t + hit.t, ..hit });
+            }
+            t += hit.t;
+            ray = hit.go_on(&ray);
+        }
+    }
+
+    /// The BSDF at `hit` with its frame.
+    #[inline]
+    pub fn shading(&self, hit: &SurfaceHit) -> Shading<'_> {
+        let mut hit = *hit;
+        let surface = &self.surfaces[hit.surface as usize];
+        let shader = Shader { scene: &self.scene, prepared: &self.prepared, place: hit.place() };
+        let bsdf = shader.bsdf(surface.material, &mut hit);
+        Shading { bsdf, frame: hit.frame, unbent: hit.unbent }
+    }
+
+    /// Radiance that the surface at `hit` emits towards `hit.wo`, and the light's number.
+    #[inline]
+    pub fn emission(&self, hit: &SurfaceHit) -> Option<(Rgb, usize)> {
+        let surface = &self.surfaces[hit.surface as usize];
+        let radiance = surface.radiance?;
+        let light = light_of(surface, hit.prim)?;
+        (hit.wo.dot(hit.n) > 0.0).then(|| (texture::eval(&self.scene, radiance, &hit.place()), light))
+    }
+
+    /// The normal at `hit` for [`Lights::sample`]: on the side of `wo`, or zero where light may come from any side.
+    #[inline]
+    pub fn receiving_normal(&self, hit: &SurfaceHit, shading: &Shading) -> Vec3 {
+        if self.surfaces[hit.surface as usize].passes.1 {
+            return Vec3::ZERO;
+        }
+        let n = shading.frame.n;
+        if n.dot(hit.wo) < 0.0 { -n } else { n }
+    }
+
+    /// Medium numbers on the two sides of the surface at `hit`, if it separates media: away from the normal, and on its side.
+    #[inline]
+    pub fn media(&self, hit: &SurfaceHit) -> Option<(Option<MediumId>, Option<MediumId>)> {
+        let surface = &self.surfaces[hit.surface as usize];
+        let boundary = surface.interior.is_some() || surface.exterior.is_some();
+        boundary.then_some((surface.interior, surface.exterior))
+    }
+
+    /// The segment from `from` to a light, `wi` its direction; t runs from 0 to 1 but for lights far away.
+    #[inline]
+    pub fn segment(from: &SurfacePoint, wi: Vec3, end: &End) -> Ray {
+        match end {
+            End::Surface(point) => from.segment_between(point),
+            End::Point(p) => from.segment_to(*p),
+            End::Far => from.spawn(wi),
+        }
+    }
+
+    /// What of the light along `ray` passes the surfaces within its limits, at most `most` of them; media do not count.
+    #[inline]
+    pub fn transmittance(&self, ray: &Ray, most: u32) -> Rgb {
+        if !self.has_null || most == 0 {
+            return if self.tracer.occluded(ray) { Rgb::ZERO } else { Rgb::ONE };
+        }
+        let (mut ray, mut value) = (*ray, Rgb::ONE);
+        for crossed in 0.. {
+            let Some(hit) = self.tracer.intersect(&ray) else { return value };
+            if crossed >= most || !self.surfaces[self.surface_index(&hit)].passes.0 {
+                return Rgb::ZERO;
+            }
+            let hit = self.surface_hit(&ray, &hit);
+            value *= self.straight_through(&hit);
+            if value == Rgb::ZERO {
+                return value;
+            }
+            ray = hit.go_on(&ray);
+        }
+        Rgb::ZERO
+    }
+
+    /// A medium.
+    pub(crate) fn medium(&self, id: MediumId) -> &Tracked {
+        &self.media[id.0]
+    }
+
+    /// What of the light along the ray that found `hit` passes the surface straight.
+    pub(crate) fn straight_through(&self, hit: &SurfaceHit) -> Rgb {
+        if !self.surfaces[hit.surface as usize].passes.0 {
+            return Rgb::ZERO;
+        }
+        let shading = self.shading(hit);
+        shading.bsdf.null_transmittance(shading.to_local(hit.wo))
+    }
+
+    #[inline]
+    fn surface_index(&self, hit: &translume_trace::Hit) -> usize {
+        (self.bases[hit.instance as usize] + hit.part) as usize
+    }
+}
+
+impl SurfaceHit {
+    /// The rest of `ray` behind this hit, with the same parameters.
+    #[inline]
+    pub fn go_on(&self, ray: &Ray) -> Ray {
+        // The origin moves to the surface, so the parameter that was used up is taken off the limit.
+        let o = self.point.origin_towards(ray.d);
+        Ray { o, d: ray.d, t_min: 0.0, t_max: ray.t_max - self.t }
+    }
+
+    /// Texture coordinates.
+    pub fn uv(&self) -> Vec2 {
+        self.uv
+    }
+}

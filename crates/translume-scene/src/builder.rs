@@ -1,0 +1,220 @@
+//! What the front ends share: a scene in the making, with every file read once and every constant stored once.
+
+use crate::check;
+use crate::scene::{LoadOptions, MaterialId, Scene, TextureId};
+use crate::texture::Texture;
+use crate::{Error, Result, material, vol};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use translume_bxdf::Rgb;
+use translume_image::{Picture, Rgb32FImage, Samples};
+use translume_mesh::{ReadOptions, TriMesh};
+
+/// Vertex normals of a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Normals {
+    /// Those of the file, smooth ones where it has none.
+    Smooth,
+    /// Those of the file or none.
+    Keep,
+    /// None.
+    Flat,
+    /// Smooth over edges up to this angle, the bits of an `f32` in radians.
+    Crease(u32),
+}
+
+/// Which mesh of which file, and how.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct MeshKey {
+    pub(crate) path: PathBuf,
+    /// `None` for all parts of the file as one.
+    pub(crate) part: Option<usize>,
+    pub(crate) normals: Normals,
+    /// Texture coordinates have their origin at the upper left in the file.
+    pub(crate) flip_v: bool,
+}
+
+/// A mesh from a file.
+#[derive(Clone)]
+pub(crate) struct Mesh {
+    pub(crate) mesh: Arc<TriMesh>,
+    /// Its normals are those of the file, not our own.
+    pub(crate) has_own_normals: bool,
+}
+
+/// A scene in the making.
+pub(crate) struct Builder {
+    pub(crate) scene: Scene,
+    pub(crate) options: LoadOptions,
+    pub(crate) path: PathBuf,
+    meshes: HashMap<MeshKey, Mesh>,
+    images: HashMap<(PathBuf, bool), Arc<Picture>>,
+    grids: HashMap<PathBuf, Arc<vol::Loaded>>,
+    constants: HashMap<[u32; 3], TextureId>,
+    default_material: HashMap<u32, MaterialId>,
+}
+
+impl Builder {
+    pub(crate) fn new(path: &Path, options: &LoadOptions) -> Self {
+        Self {
+            scene: Scene::default(),
+            options: options.clone(),
+            path: path.to_owned(),
+            meshes: HashMap::new(),
+            images: HashMap::new(),
+            grids: HashMap::new(),
+            constants: HashMap::new(),
+            default_material: HashMap::new(),
+        }
+    }
+
+    pub(crate) fn warn(&mut self, warning: impl Into<String>) {
+        self.scene.warnings.push(warning.into());
+    }
+
+    /// The texture of one colour.
+    pub(crate) fn constant(&mut self, rgb: Rgb) -> TextureId {
+        let key = rgb.to_array().map(f32::to_bits);
+        if let Some(&id) = self.constants.get(&key) {
+            return id;
+        }
+        let id = self.texture(Texture::Constant(rgb));
+        self.constants.insert(key, id);
+        id
+    }
+
+    pub(crate) fn texture(&mut self, texture: Texture) -> TextureId {
+        self.scene.textures.push(texture);
+        TextureId(self.scene.textures.len() - 1)
+    }
+
+    pub(crate) fn material(&mut self, name: &str, model: material::Model) -> MaterialId {
+        self.scene.materials.push(material::Material { name: name.to_owned(), model });
+        MaterialId(self.scene.materials.len() - 1)
+    }
+
+    /// Gray diffuse, for shapes without a material.
+    pub(crate) fn gray(&mut self, reflectance: f32) -> MaterialId {
+        if let Some(&id) = self.default_material.get(&reflectance.to_bits()) {
+            return id;
+        }
+        let texture = self.constant(Rgb::splat(reflectance));
+        let id = self.material("", material::Model::Diffuse { reflectance: texture });
+        self.default_material.insert(reflectance.to_bits(), id);
+        id
+    }
+
+    /// A mesh from a file, with as few copies in memory as there are different uses.
+    pub(crate) fn mesh(&mut self, key: MeshKey) -> Result<Mesh> {
+        if let Some(mesh) = self.meshes.get(&key) {
+            return Ok(mesh.clone());
+        }
+        let path = &key.path;
+        let mut loaded = translume_mesh::read(path, &ReadOptions { part: key.part })?;
+        for warning in std::mem::take(&mut loaded.warnings) {
+            self.scene.warnings.push(format!("{}: {warning}", path.display()));
+        }
+        let flat = key.normals != Normals::Keep && loaded.parts.iter().any(|p| p.flat);
+        let too_large = || Error::unsupported(path, None, "the mesh has more vertices than 32-bit indices reach");
+        let mut mesh = loaded.merged().ok_or_else(too_large)?;
+        self.clean(&mut mesh, &path.display().to_string());
+        let has_own_normals = mesh.normals.is_some() && !flat && matches!(key.normals, Normals::Smooth | Normals::Keep);
+        match key.normals {
+            Normals::Flat => mesh.normals = None,
+            _ if flat => mesh.normals = None,
+            Normals::Keep => {}
+            Normals::Smooth if mesh.normals.is_some() => {}
+            Normals::Smooth => mesh.compute_normals(),
+            Normals::Crease(bits) => mesh.crease_normals(f32::from_bits(bits)),
+        }
+        if key.flip_v {
+            mesh.uvs.iter_mut().flatten().for_each(|uv| uv[1] = 1.0 - uv[1]);
+        }
+        let mesh = Mesh { mesh: Arc::new(mesh), has_own_normals };
+        self.meshes.insert(key, mesh.clone());
+        Ok(mesh)
+    }
+
+    /// Leaves out triangles with corners that are not finite: nothing can be computed with them.
+    pub(crate) fn clean(&mut self, mesh: &mut TriMesh, name: &str) {
+        let bad: Vec<bool> = mesh.positions.iter().map(|p| !p.iter().all(|x| x.is_finite())).collect();
+        let before = mesh.indices.len();
+        if bad.contains(&true) {
+            mesh.indices.retain(|t| !t.iter().any(|&i| bad[i as usize]));
+            // Unused now, and harmless for whoever looks at all positions.
+            mesh.positions.iter_mut().zip(&bad).filter(|(_, b)| **b).for_each(|(p, _)| *p = [0.0; 3]);
+            let dropped = before - mesh.indices.len();
+            self.warn(format!("{name}: {dropped} triangles with corners that are not finite are left out"));
+        }
+        // Directions and coordinates that are not finite would spread through whatever is computed with them.
+        let fix = |v: &mut f32| *v = if v.is_finite() { *v } else { 0.0 };
+        mesh.normals.iter_mut().flatten().flatten().for_each(fix);
+        mesh.uvs.iter_mut().flatten().flatten().for_each(fix);
+        mesh.colors.iter_mut().flatten().flatten().for_each(fix);
+        if mesh.indices.is_empty() {
+            self.warn(format!("{name}: the mesh has no triangles"));
+        }
+    }
+
+    /// A picture from a file: linear light, or for `raw` the stored numbers.
+    pub(crate) fn image(&mut self, path: &Path, raw: bool) -> Result<Arc<Picture>> {
+        if let Some(image) = self.images.get(&(path.to_owned(), raw)) {
+            return Ok(image.clone());
+        }
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        self.decoded_image(&bytes, path, raw)
+    }
+
+    /// A picture from memory; `name` tells it from others and stands in messages.
+    pub(crate) fn decoded_image(&mut self, bytes: &[u8], name: &Path, raw: bool) -> Result<Arc<Picture>> {
+        let key = (name.to_owned(), raw);
+        if let Some(image) = self.images.get(&key) {
+            return Ok(image.clone());
+        }
+        let mut picture = translume_image::decode_picture(bytes, name)?;
+        if raw {
+            let codes = translume_image::decode_codes(bytes, name)?;
+            picture.pixels = unit_codes(&codes.samples, codes.width, codes.height)
+                .ok_or_else(|| Error::invalid(name, None, "fewer pixels than the header says"))?;
+        }
+        self.keep_image(key, picture)
+    }
+
+    fn keep_image(&mut self, key: (PathBuf, bool), mut picture: Picture) -> Result<Arc<Picture>> {
+        let bad = picture.count_non_finite();
+        if bad > 0 {
+            self.warn(format!("{}: {bad} samples that are not finite count as 0", key.0.display()));
+            picture.pixels.iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = 0.0);
+        }
+        let image = Arc::new(picture);
+        self.images.insert(key, image.clone());
+        Ok(image)
+    }
+
+    /// A Mitsuba grid file.
+    pub(crate) fn grid(&mut self, path: &Path) -> Result<Arc<vol::Loaded>> {
+        if let Some(grid) = self.grids.get(path) {
+            return Ok(grid.clone());
+        }
+        let grid = Arc::new(vol::read(path)?);
+        self.grids.insert(path.to_owned(), grid.clone());
+        Ok(grid)
+    }
+
+    /// The scene, after a look at what no front end should let pass.
+    pub(crate) fn finish(mut self) -> Scene {
+        check::repair(&mut self.scene, &self.path);
+        self.scene
+    }
+}
+
+/// Codes over their maximum.
+fn unit_codes(samples: &Samples, width: usize, height: usize) -> Option<Rgb32FImage> {
+    let values = match samples {
+        Samples::U8(v) => v.iter().map(|&c| f32::from(c) / 255.0).collect(),
+        Samples::U16(v) => v.iter().map(|&c| f32::from(c) / 65535.0).collect(),
+        Samples::F32(v) => v.clone(),
+    };
+    Rgb32FImage::from_raw(width as u32, height as u32, values)
+}

@@ -1,0 +1,340 @@
+//! glTF 2.0 and GLB: nodes, meshes, cameras and lights; the materials are beside this file.
+//!
+//! Read are the core, `KHR_lights_punctual`, `KHR_texture_transform`, `EXT_mesh_gpu_instancing`, and of materials emissive
+//! strength, transmission, index of refraction, volume, specular, clear coat, unlit and specular-glossiness. Other
+//! extensions are left out with a warning, or refused where the file requires them. Photometric units are taken as they
+//! are, so pictures of such files count in candela and lux.
+//!
+//! Limits: first set of texture coordinates only; skins and morph targets at rest; no animation; surfaces reflect on
+//! both sides, and emissive ones shine on the front alone.
+
+mod material;
+
+use crate::builder::Builder;
+use crate::emitter::{Emitter, Falloff, Spot};
+use crate::scene::{Geometry, LoadOptions, MaterialId, MediumId, Scene, Shape, TextureId};
+use crate::sensor::{Film, FovAxis, Perspective, PixelFilter, Projection, Sensor};
+use crate::{Error, Result, check};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use serde_json::Value;
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use std::sync::Arc;
+use translume_bxdf::Rgb;
+use translume_mesh::TriMesh;
+use translume_mesh::gltf::Asset;
+
+/// Extensions that are used, or that have nothing to do with pictures.
+const KNOWN: [&str; 15] = [
+    "EXT_mesh_gpu_instancing",
+    "KHR_lights_punctual",
+    "KHR_materials_clearcoat",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_unlit",
+    "KHR_materials_variants",
+    "KHR_materials_volume",
+    "KHR_mesh_quantization",
+    "KHR_node_visibility",
+    "KHR_texture_transform",
+    "KHR_xmp_json_ld",
+];
+
+/// A file cannot ask for more shapes than this.
+const MOST_SHAPES: usize = 10_000_000;
+
+/// Width of pictures: the format says the aspect ratio only.
+const WIDTH: u32 = 1280;
+
+/// Reads a `.gltf` or `.glb` file.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] naming the element for damaged files; [`Error::Unsupported`] for required extensions
+/// that are not known here, unless `options.lenient`.
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
+    let asset = Asset::open(path).map_err(Error::from)?;
+    let mut loader = Loader {
+        builder: Builder::new(path, options),
+        asset,
+        meshes: HashMap::new(),
+        materials: HashMap::new(),
+        told: HashSet::new(),
+    };
+    loader.extensions()?;
+    for (node, world_from_node) in loader.nodes()? {
+        loader.node(node, &world_from_node)?;
+    }
+    Ok(loader.builder.finish())
+}
+
+/// What a material becomes for a shape.
+#[derive(Clone, Copy)]
+struct Dress {
+    material: MaterialId,
+    radiance: Option<TextureId>,
+    interior: Option<MediumId>,
+}
+
+struct Loader {
+    builder: Builder,
+    asset: Asset,
+    /// By mesh and primitive; `None` for points and lines.
+    meshes: HashMap<(usize, usize), Option<Arc<TriMesh>>>,
+    /// By number, and whether the mesh has colours.
+    materials: HashMap<(Option<usize>, bool), Dress>,
+    told: HashSet<String>,
+}
+
+impl Loader {
+    fn invalid(&self, what: impl Into<String>) -> Error {
+        Error::invalid(&self.asset.path, None, what)
+    }
+
+    /// A warning, given once.
+    fn warn_once(&mut self, what: String) {
+        if self.told.insert(what.clone()) {
+            self.builder.warn(format!("{}: {what}", self.asset.path.display()));
+        }
+    }
+
+    fn extensions(&mut self) -> Result<()> {
+        let names = |key: &str| -> Vec<String> {
+            let list = self.asset.json[key].as_array().into_iter().flatten();
+            list.filter_map(|v| v.as_str().map(str::to_owned)).collect()
+        };
+        let (used, required) = (names("extensionsUsed"), names("extensionsRequired"));
+        for name in used.iter().filter(|n| !KNOWN.contains(&n.as_str())) {
+            if required.contains(name) && !self.builder.options.lenient {
+                let what = format!("the file requires the extension {name}, which is not supported");
+                return Err(Error::unsupported(&self.asset.path, None, what));
+            }
+            self.warn_once(format!("the extension {name} is not supported and left out"));
+        }
+        Ok(())
+    }
+
+    /// The nodes of the default scene (of all roots when there is no scene) with their places, parents first.
+    fn nodes(&self) -> Result<Vec<(usize, DAffine3)>> {
+        let document = &self.asset.document;
+        let roots: Vec<usize> = match document.scenes.get(document.scene.map_or(0, |s| s.get())) {
+            Some(scene) => scene.nodes.iter().map(|n| n.get()).collect(),
+            None if document.scene.is_some() => return Err(self.invalid("the default scene is missing")),
+            None => {
+                let children: HashSet<usize> =
+                    document.nodes.iter().flat_map(|n| &n.children).map(|c| c.get()).collect();
+                (0..document.nodes.len()).filter(|i| !children.contains(i)).collect()
+            }
+        };
+        let mut stack: Vec<_> = roots.into_iter().rev().map(|n| (n, DAffine3::IDENTITY)).collect();
+        let mut seen = vec![false; document.nodes.len()];
+        let mut placed = Vec::new();
+        while let Some((index, world_from_parent)) = stack.pop() {
+            let Some(node) = document.nodes.get(index) else {
+                return Err(self.invalid(format!("there is no node {index}")));
+            };
+            if std::mem::replace(&mut seen[index], true) {
+                return Err(self.invalid(format!("node {index} is reached twice: the nodes are no tree")));
+            }
+            if node.extensions.get("KHR_node_visibility").is_some_and(|v| v["visible"] == Value::Bool(false)) {
+                continue;
+            }
+            let world_from_node = world_from_parent * node.local_transform();
+            placed.push((index, world_from_node));
+            stack.extend(node.children.iter().rev().map(|c| (c.get(), world_from_node)));
+        }
+        Ok(placed)
+    }
+
+    fn node(&mut self, index: usize, world_from_node: &DAffine3) -> Result<()> {
+        let node = &self.asset.document.nodes[index];
+        let name = node.name.clone().unwrap_or_default();
+        let (mesh, camera) = (node.mesh.map(|m| m.get()), node.camera.map(|c| c.get()));
+        let light = node.extensions.get("KHR_lights_punctual").map(|l| index_of(&l["light"]));
+        let instances = node.extensions.get("EXT_mesh_gpu_instancing").cloned();
+        if let Some(mesh) = mesh {
+            let places = match instances {
+                Some(instances) => self.instances(&instances["attributes"])?,
+                None => vec![DAffine3::IDENTITY],
+            };
+            for place in places {
+                self.place(mesh, &name, *world_from_node * place)?;
+            }
+        }
+        if let Some(camera) = camera {
+            let sensor = self.camera(camera, &name, world_from_node)?;
+            self.builder.scene.sensors.push(sensor);
+        }
+        if let Some(light) = light {
+            let emitter = self.light(light, world_from_node)?;
+            self.builder.scene.emitters.push(emitter);
+        }
+        Ok(())
+    }
+
+    /// The places of a node that draws its mesh many times.
+    fn instances(&self, attributes: &Value) -> Result<Vec<DAffine3>> {
+        fn rows<const N: usize>(asset: &Asset, accessor: &Value) -> Result<Vec<[f32; N]>> {
+            index_of(accessor).map_or(Ok(Vec::new()), |i| asset.accessor(i).map_err(Error::from))
+        }
+        let translations = rows::<3>(&self.asset, &attributes["TRANSLATION"])?;
+        let rotations = rows::<4>(&self.asset, &attributes["ROTATION"])?;
+        let scales = rows::<3>(&self.asset, &attributes["SCALE"])?;
+        let count = translations.len().max(rotations.len()).max(scales.len());
+        let vector =
+            |rows: &[[f32; 3]], i: usize, missing| rows.get(i).map_or(missing, |v| DVec3::from(v.map(f64::from)));
+        let place = |i| {
+            let rotation = rotations.get(i).map(|r: &[f32; 4]| DQuat::from_array(r.map(f64::from)));
+            let rotation = rotation.filter(|q| q.length_squared() > 1e-12).map_or(DQuat::IDENTITY, DQuat::normalize);
+            let (scale, t) = (vector(&scales, i, DVec3::ONE), vector(&translations, i, DVec3::ZERO));
+            DAffine3::from_scale_rotation_translation(scale, rotation, t)
+        };
+        Ok((0..count).map(place).collect())
+    }
+
+    /// Puts the primitives of a mesh into the scene.
+    fn place(&mut self, mesh: usize, name: &str, world_from_object: DAffine3) -> Result<()> {
+        let Some(source) = self.asset.document.meshes.get(mesh) else {
+            return Err(self.invalid(format!("there is no mesh {mesh}")));
+        };
+        if !check::is_invertible(&world_from_object) {
+            self.warn_once(format!("node {name:?} has a degenerate transform and is left out"));
+            return Ok(());
+        }
+        let materials: Vec<Option<usize>> = source.primitives.iter().map(|p| p.material.map(|m| m.get())).collect();
+        for (i, material) in materials.into_iter().enumerate() {
+            let Some(triangles) = self.primitive(mesh, i)? else {
+                self.warn_once(format!("mesh {mesh} has points or lines, which are left out"));
+                continue;
+            };
+            let Dress { material, radiance, interior } = self.material(material, triangles.colors.is_some())?;
+            if self.builder.scene.shapes.len() >= MOST_SHAPES {
+                let what = format!("more than {MOST_SHAPES} shapes");
+                return Err(Error::unsupported(&self.asset.path, None, what));
+            }
+            self.builder.scene.shapes.push(Shape {
+                name: name.to_owned(),
+                geometry: Geometry::Mesh(triangles),
+                world_from_object,
+                flip_normals: false,
+                material,
+                radiance,
+                interior,
+                exterior: None,
+            });
+        }
+        Ok(())
+    }
+
+    fn primitive(&mut self, mesh: usize, primitive: usize) -> Result<Option<Arc<TriMesh>>> {
+        if let Some(triangles) = self.meshes.get(&(mesh, primitive)) {
+            return Ok(triangles.clone());
+        }
+        let mut triangles = self.asset.primitive(mesh, primitive).map_err(Error::from)?;
+        if let Some(triangles) = &mut triangles {
+            let name = format!("{}: mesh {mesh}, primitive {primitive}", self.asset.path.display());
+            self.builder.clean(triangles, &name);
+        }
+        let triangles = triangles.map(Arc::new);
+        self.meshes.insert((mesh, primitive), triangles.clone());
+        Ok(triangles)
+    }
+
+    /// A camera looks along −z of its node, +x is right. Scales of nodes do not change cameras.
+    fn camera(&self, index: usize, name: &str, world_from_node: &DAffine3) -> Result<Sensor> {
+        let camera = &self.asset.json["cameras"][index];
+        let wrong = |what: &str| self.invalid(format!("camera {index}: {what}"));
+        let world_from_camera = turned(world_from_node).ok_or_else(|| wrong("its node has a degenerate transform"))?;
+        let kind = camera["type"].as_str().unwrap_or_default();
+        let parameters = &camera[kind];
+        let positive = |key: &str| parameters[key].as_f64().filter(|v| *v > 0.0 && v.is_finite());
+        let near_clip = parameters["znear"].as_f64().filter(|v| *v >= 0.0).unwrap_or(0.0) as f32;
+        let far_clip = positive("zfar").map_or(f32::MAX, |v| v as f32);
+        let (projection, aspect, scale) = match kind {
+            "perspective" => {
+                let fov = positive("yfov").filter(|f| *f < std::f64::consts::PI);
+                let fov = fov.ok_or_else(|| wrong("yfov is not between 0 and π"))? as f32;
+                let perspective = Perspective { fov, fov_axis: FovAxis::Y, principal_point_offset: [0.0; 2] };
+                (Projection::Perspective(perspective), positive("aspectRatio").unwrap_or(16.0 / 9.0), 1.0)
+            }
+            "orthographic" => {
+                let size = positive("xmag").zip(positive("ymag"));
+                let (x, y) = size.ok_or_else(|| wrong("xmag or ymag is not above 0"))?;
+                (Projection::Orthographic, x / y, x)
+            }
+            _ => return Err(wrong("neither perspective nor orthographic")),
+        };
+        let height = (f64::from(WIDTH) / aspect).round();
+        if !(1.0..=65_536.0).contains(&height) {
+            return Err(wrong("its aspect ratio is absurd"));
+        }
+        let across = DAffine3::from_scale(DVec3::new(scale, scale, 1.0));
+        let film = Film { size: [WIDTH, height as u32], crop: None, filter: PixelFilter::default() };
+        Ok(Sensor {
+            name: name.to_owned(),
+            world_from_camera: world_from_camera * across,
+            projection,
+            near_clip,
+            far_clip,
+            film,
+            sample_count: None,
+            medium: None,
+        })
+    }
+
+    fn light(&mut self, index: Option<usize>, world_from_node: &DAffine3) -> Result<Emitter> {
+        let index = index.ok_or_else(|| self.invalid("KHR_lights_punctual: \"light\" is no number"))?;
+        let light = self.asset.json["extensions"]["KHR_lights_punctual"]["lights"][index].clone();
+        let wrong = |what: &str| self.invalid(format!("light {index}: {what}"));
+        let strength = light["intensity"].as_f64().unwrap_or(1.0) as f32;
+        let color = vector3(&light["color"], [1.0; 3]) * strength;
+        if !(color.is_finite() && color.min_element() >= 0.0) {
+            return Err(wrong("its intensity is negative or not finite"));
+        }
+        let world_from_light = turned(world_from_node).ok_or_else(|| wrong("its node has a degenerate transform"))?;
+        let emitter = match light["type"].as_str().unwrap_or_default() {
+            "directional" => Emitter::Directional { direction: world_from_light.matrix3.z_axis, irradiance: color },
+            "point" => Emitter::Point { position: world_from_light.translation, intensity: color },
+            "spot" => {
+                let angle = |key: &str, default: f64| light["spot"][key].as_f64().unwrap_or(default) as f32;
+                let outer = angle("outerConeAngle", std::f64::consts::FRAC_PI_4);
+                let inner = angle("innerConeAngle", 0.0);
+                if !(inner >= 0.0 && inner <= outer && outer > 0.0 && outer <= std::f32::consts::FRAC_PI_2 + 1e-4) {
+                    return Err(wrong("its cone angles are wrong"));
+                }
+                Emitter::Spot(Spot {
+                    world_from_light,
+                    intensity: color,
+                    cutoff_angle: outer,
+                    beam_width: inner,
+                    falloff: Falloff::SquareInCosine,
+                })
+            }
+            _ => return Err(wrong("neither directional, point nor spot")),
+        };
+        if !light["range"].is_null() {
+            self.warn_once("the range of lights is not used: light falls off with the square alone".to_owned());
+        }
+        Ok(emitter)
+    }
+}
+
+/// The frame of a camera or light that looks along −z of its node: rotation and place, turned about y.
+fn turned(world_from_node: &DAffine3) -> Option<DAffine3> {
+    let m = &world_from_node.matrix3;
+    let z = (-m.z_axis).try_normalize()?;
+    let x = m.y_axis.cross(z).try_normalize()?;
+    let frame = DAffine3::from_mat3_translation(DMat3::from_cols(x, z.cross(x), z), world_from_node.translation);
+    frame.is_finite().then_some(frame)
+}
+
+fn index_of(value: &Value) -> Option<usize> {
+    value.as_f64().filter(|v| v.fract() == 0.0 && (0.0..9e15).contains(v)).map(|v| v as usize)
+}
+
+/// Three numbers, each `default` where it is missing.
+fn vector3(value: &Value, default: [f32; 3]) -> Rgb {
+    Rgb::from(std::array::from_fn(|i| value[i].as_f64().map_or(default[i], |v| v as f32)))
+}

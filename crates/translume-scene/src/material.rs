@@ -1,0 +1,177 @@
+//! Descriptions of materials: the parameters of the BSDFs with a texture for whatever may vary.
+//!
+//! Meanings and defaults are those of Mitsuba 3, which the models of `translume-bxdf` follow too.
+
+use crate::{MaterialId, TextureId};
+use translume_bxdf::Distribution;
+
+/// A material.
+#[derive(Clone, Debug)]
+pub struct Material {
+    /// Name or identifier in the file, for messages; may be empty.
+    pub name: String,
+    /// What it does.
+    pub model: Model,
+}
+
+/// What a material does. Colours and numbers that vary are [`TextureId`]s; those that no format varies are numbers.
+/// Indices of refraction are ratios `eta`: that of the inside (away from the normal) over that of the outside.
+#[derive(Clone, Debug)]
+pub enum Model {
+    /// Nothing: light goes straight on. The boundary of a medium.
+    Null,
+    /// Lambert's.
+    Diffuse {
+        /// Fraction reflected.
+        reflectance: TextureId,
+    },
+    /// Smooth glass.
+    Dielectric(Dielectric),
+    /// A sheet of glass too thin to refract.
+    ThinDielectric(Dielectric),
+    /// Frosted glass.
+    RoughDielectric {
+        /// The glass.
+        dielectric: Dielectric,
+        /// Its surface.
+        roughness: Roughness,
+    },
+    /// Smooth metal.
+    Conductor(Conductor),
+    /// Rough metal.
+    RoughConductor {
+        /// The metal.
+        conductor: Conductor,
+        /// Its surface.
+        roughness: Roughness,
+    },
+    /// Smooth coat over a diffuse base.
+    Plastic(Plastic),
+    /// Rough coat over a diffuse base.
+    RoughPlastic {
+        /// Base and coat.
+        plastic: Plastic,
+        /// Shape of the microfacets.
+        distribution: Distribution,
+        /// Their roughness.
+        alpha: f32,
+    },
+    /// Disney's principled model.
+    Principled(Box<Principled>),
+    /// Seen from behind (against the normal) it is `back`, turned over.
+    TwoSided {
+        /// On the side of the normal.
+        front: MaterialId,
+        /// On the other.
+        back: MaterialId,
+    },
+    /// Partly not there.
+    Mask {
+        /// Fraction that is there.
+        opacity: TextureId,
+        /// What is there.
+        nested: MaterialId,
+    },
+    /// Shading normals from a height field.
+    BumpMap {
+        /// Heights, in the scene's unit of length.
+        height: TextureId,
+        /// Factor on them.
+        scale: f32,
+        /// What is shaded.
+        nested: MaterialId,
+    },
+    /// Shading normals from a picture of them.
+    NormalMap {
+        /// Normals n as (n + 1)/2, z along the shading normal, x along ∂p/∂u.
+        normals: TextureId,
+        /// Factor on the normals' x and y.
+        scale: f32,
+        /// What is shaded.
+        nested: MaterialId,
+    },
+    /// A mixture.
+    Blend {
+        /// Fraction of `second`.
+        weight: TextureId,
+        /// Where the weight is 0.
+        first: MaterialId,
+        /// Where it is 1.
+        second: MaterialId,
+    },
+}
+
+/// Parameters of clear materials.
+#[derive(Clone, Copy, Debug)]
+pub struct Dielectric {
+    /// Index of refraction, inside over outside.
+    pub eta: f32,
+    /// Factor on what is reflected.
+    pub specular_reflectance: TextureId,
+    /// Factor on what is transmitted.
+    pub specular_transmittance: TextureId,
+}
+
+/// Parameters of metals.
+#[derive(Clone, Copy, Debug)]
+pub struct Conductor {
+    /// Real part of the index of refraction, relative to the outside. Zero, with `k` one, is a perfect mirror.
+    pub eta: TextureId,
+    /// Imaginary part.
+    pub k: TextureId,
+    /// Factor on what is reflected.
+    pub specular_reflectance: TextureId,
+}
+
+/// Parameters of plastics.
+#[derive(Clone, Copy, Debug)]
+pub struct Plastic {
+    /// Index of refraction, inside over outside.
+    pub eta: f32,
+    /// Colour of the base.
+    pub diffuse_reflectance: TextureId,
+    /// Factor on what the coat reflects.
+    pub specular_reflectance: TextureId,
+    /// Colours saturate by reflections inside.
+    pub nonlinear: bool,
+}
+
+/// A rough surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Roughness {
+    /// Shape of the microfacets.
+    pub distribution: Distribution,
+    /// Roughness along ∂p/∂u.
+    pub alpha_u: TextureId,
+    /// Roughness across it.
+    pub alpha_v: TextureId,
+}
+
+/// Parameters of [`Model::Principled`]; ranges 0–1 unless stated.
+#[derive(Clone, Copy, Debug)]
+pub struct Principled {
+    /// Colour.
+    pub base_color: TextureId,
+    /// Roughness; microfacets have its square.
+    pub roughness: TextureId,
+    /// Stretch of highlights.
+    pub anisotropic: TextureId,
+    /// How much of a metal.
+    pub metallic: TextureId,
+    /// How much of a clear material.
+    pub spec_trans: TextureId,
+    /// Index of refraction, inside over outside, above 1.
+    pub eta: f32,
+    /// How much the highlight takes the base's colour.
+    pub spec_tint: TextureId,
+    /// Sheen at grazing angles.
+    pub sheen: TextureId,
+    /// How much the sheen takes the base's colour.
+    pub sheen_tint: TextureId,
+    /// How much the diffuse part looks like subsurface scattering.
+    pub flatness: TextureId,
+    /// Strength of a second, clear coat.
+    pub clearcoat: TextureId,
+    /// Its gloss.
+    pub clearcoat_gloss: TextureId,
+}

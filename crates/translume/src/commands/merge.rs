@@ -1,0 +1,79 @@
+//! `translume merge`: independent renders become one.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use translume_image::{ExrOptions, Precision, read_exr_channels, read_exr_parts, write_exr_channels};
+use translume_render::merge::{self, Channels};
+
+const EXAMPLES: &str = "\
+Examples:
+  Two machines share a picture, each with a seed of its own:
+    translume render scene.xml -o a.exr --time 1h --seed 1
+    translume render scene.xml -o b.exr --time 1h --seed 2
+    translume merge a.exr b.exr -o both.exr";
+
+/// Average renders of one picture
+///
+/// Pictures of `translume render` with different seeds are averaged by their numbers of samples, feature images too. The
+/// result can be merged again.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// Pictures of the same size with the same channels
+    #[arg(value_name = "FILE", required = true, num_args = 1..)]
+    inputs: Vec<PathBuf>,
+    /// The average, .exr
+    #[arg(short, long, value_name = "OUT.exr")]
+    output: PathBuf,
+}
+
+pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
+    if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr")) {
+        return Err(Usage(format!("{}: the result must be .exr", args.output.display())).into());
+    }
+    let mut renders: Vec<(String, Channels)> = Vec::new();
+    let (mut size, mut seeds) = (None, Vec::new());
+    for path in &args.inputs {
+        let planes = read_exr_channels(path, 0)?;
+        let own = (planes.width, planes.height);
+        anyhow::ensure!(
+            *size.get_or_insert(own) == own,
+            "{}: {} × {} pixels, unlike the first picture",
+            path.display(),
+            own.0,
+            own.1
+        );
+        renders.push((path.display().to_string(), planes.planes));
+        if let Some(seed) = seed_of(path)? {
+            if seeds.contains(&seed) {
+                ctx.warn(format!("{}: seed {seed} comes twice: the same samples count twice", path.display()));
+            }
+            seeds.push(seed);
+        }
+    }
+    let merged = merge::merge(&renders)?;
+    let channels: Vec<(&str, &[f32])> = merged.iter().map(|(name, values)| (name.as_str(), &values[..])).collect();
+    let options = ExrOptions {
+        precision: Precision::Float,
+        software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
+        command: Some(ctx.command_line.clone()),
+        ..Default::default()
+    };
+    write_exr_channels(&args.output, size.unwrap_or_default(), &channels, &options)?;
+    let samples =
+        merged.iter().find(|c| c.0 == merge::WEIGHT).map_or(0.0, |c| c.1.iter().copied().fold(f32::MAX, f32::min));
+    ctx.note(format!("{}: {samples} samples per pixel", args.output.display()));
+    ctx.emit_json(json!({
+        "output": args.output.to_string_lossy(),
+        "inputs": args.inputs.len(),
+        "samples_per_pixel": samples,
+    }))
+}
+
+/// The seed that the file's provenance tells.
+fn seed_of(path: &Path) -> anyhow::Result<Option<String>> {
+    let parts = read_exr_parts(path)?;
+    Ok(parts.first().and_then(|p| p.texts.iter().find(|t| t.0 == "seed")).map(|t| t.1.clone()))
+}

@@ -1,0 +1,268 @@
+//! `translume render`: a scene becomes a picture.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use anyhow::{Context as _, anyhow};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use translume_image::colour::linear_to_srgb;
+use translume_image::{ExrOptions, Precision, write_exr_channels, write_png8};
+use translume_render::checkpoint::{self, Identity};
+use translume_render::film::{Aov, Film};
+use translume_render::integrator::{self, INTEGRATORS, Settings};
+use translume_render::render::{Progress, Shot, Until};
+use translume_render::{World, fingerprint};
+use translume_scene::{LoadOptions, Scene};
+
+const EXAMPLES: &str = "\
+Examples:
+  With as many samples as the scene asks for:
+    translume render scene.xml -o out.exr
+
+  For one minute, with a preview to look at meanwhile:
+    translume render scene.xml -o out.exr --time 60s --preview now.png
+
+  In two evenings:
+    translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
+    translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck --resume";
+
+/// Render a scene
+///
+/// The picture is linear Rec. 709 in OpenEXR with the number of samples per pixel as a channel, so that `translume merge`
+/// can average renders of different seeds. Ctrl-C writes what is there. The same scene, options and seed give the same
+/// picture for any number of threads.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The scene
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// The picture, .exr
+    #[arg(short, long, value_name = "OUT.exr")]
+    output: PathBuf,
+    /// The method [default: the scene's, or path]
+    #[arg(long, value_name = "NAME", value_parser = integrator_names())]
+    integrator: Option<String>,
+    /// Stop after this time (such as 90s, 5m, 2h)
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    time: Option<Duration>,
+    /// Samples per pixel [default: the scene's, or 64]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
+    spp: Option<u64>,
+    /// Width and height in pixels [default: the scene's]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Seed of the random numbers
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Longest path in segments; 0: no limit [default: the scene's]
+    #[arg(long, value_name = "N")]
+    max_depth: Option<u32>,
+    /// Save the state of the render here, every minute and at the end
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Go on from the checkpoint if it is there
+    #[arg(long, requires = "checkpoint")]
+    resume: bool,
+    /// Feature images as further channels
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = aov_names())]
+    aov: Vec<String>,
+    /// Keep a picture of how it goes here, .png
+    #[arg(long, value_name = "OUT.png")]
+    preview: Option<PathBuf>,
+    /// Value of a parameter of the scene file
+    #[arg(long, value_name = "NAME=VALUE", value_parser = parse_define)]
+    set: Vec<(String, String)>,
+    /// Leave out what is not supported, with a warning
+    #[arg(long)]
+    lenient: bool,
+}
+
+fn integrator_names() -> clap::builder::PossibleValuesParser {
+    INTEGRATORS.iter().map(|e| clap::builder::PossibleValue::new(e.name).help(e.about)).collect::<Vec<_>>().into()
+}
+
+fn aov_names() -> clap::builder::PossibleValuesParser {
+    Aov::NAMED.iter().map(|n| n.0).collect::<Vec<_>>().into()
+}
+
+fn parse_time(text: &str) -> Result<Duration, String> {
+    let (number, unit) = match text.char_indices().last() {
+        Some((i, 's')) => (&text[..i], 1.0),
+        Some((i, 'm')) => (&text[..i], 60.0),
+        Some((i, 'h')) => (&text[..i], 3600.0),
+        _ => (text, 1.0),
+    };
+    let seconds = number.trim().parse::<f64>().ok().map(|n| n * unit).filter(|s| *s > 0.0 && *s < 1e9);
+    seconds.map(Duration::from_secs_f64).ok_or_else(|| "a time above 0, such as 90s, 5m or 2h".into())
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    let fits = |s: &[u32; 2]| s[0] > 0 && s[1] > 0 && u64::from(s[0]) * u64::from(s[1]) <= 1 << 28;
+    sides.filter(fits).ok_or_else(|| "width x height, such as 640x480, at most 2^28 pixels".into())
+}
+
+fn parse_define(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
+    Ok((name.into(), value.into()))
+}
+
+pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
+    if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr")) {
+        return Err(Usage(format!("{}: the picture must be .exr", args.output.display())).into());
+    }
+    let begun = Instant::now();
+    let options = LoadOptions { lenient: args.lenient, defines: args.set.clone() };
+    let scene = Arc::new(translume_scene::load(&args.scene, &options)?);
+    scene.warnings.iter().for_each(|w| ctx.warn(format!("{}: {w}", args.scene.display())));
+    let world = World::new(scene.clone()).with_context(|| args.scene.display().to_string())?;
+    let loaded = begun.elapsed();
+    let (stored, placed) = scene.triangles();
+    ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
+    let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
+    let (name, settings) = method(&args, &scene, ctx);
+    let integrator = integrator::by_name(&name, settings).ok_or_else(|| anyhow!("no integrator {name}"))?;
+    let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
+    let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| args.aov.iter().any(|a| a == n.0)).map(|n| n.1).collect();
+    let mut film = Film::new(shot.size(), &aovs)?;
+    let asked = args.spp.or(if args.time.is_some() { None } else { Some(sensor.sample_count.unwrap_or(64).into()) });
+    let until = Until { samples: asked.unwrap_or(u64::MAX), time: args.time };
+    let identity = Identity { fingerprint: fingerprint(&scene, &format!("{name} {settings:?}")), seed: args.seed };
+    if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
+        checkpoint::read(path, &mut film, &identity)?;
+        ctx.note(format!("going on from {} samples per pixel", film.samples().0));
+    }
+    let reporter = Reporter { args: &args, ctx, identity };
+    let progress = reporter.watch(&shot, &mut film, &until)?;
+    reporter.finish(&film, &name, &progress, loaded)
+}
+
+/// The method and its settings: the user's, else the scene's.
+fn method(args: &Args, scene: &Scene, ctx: &Context) -> (String, Settings) {
+    let wanted = &scene.integrator;
+    let known = INTEGRATORS.iter().any(|e| e.name == wanted.name);
+    if args.integrator.is_none() && !known && !wanted.name.is_empty() {
+        ctx.warn(format!("the scene's integrator `{}` is not known here: rendering with `path`", wanted.name));
+    }
+    let name = args.integrator.clone().unwrap_or_else(|| if known { wanted.name.clone() } else { "path".into() });
+    let settings = Settings {
+        max_depth: args.max_depth.map_or(wanted.max_depth, |n| (n > 0).then_some(n)),
+        rr_depth: wanted.rr_depth,
+        hide_emitters: wanted.hide_emitters,
+        camera_medium: scene.sensors.first().and_then(|s| s.medium),
+    };
+    (name, settings)
+}
+
+/// What a run tells and writes.
+struct Reporter<'a> {
+    args: &'a Args,
+    ctx: &'a Context,
+    identity: Identity,
+}
+
+const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(60);
+
+impl Reporter<'_> {
+    /// Renders, with progress, previews and checkpoints, until done or interrupted.
+    fn watch(&self, shot: &Shot, film: &mut Film, until: &Until) -> anyhow::Result<Progress> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let handler = stop.clone();
+        // A second Ctrl-C ends the program at once.
+        ctrlc::set_handler(move || {
+            if handler.swap(true, Ordering::Relaxed) {
+                std::process::exit(130);
+            }
+        })
+        .context("cannot listen for Ctrl-C")?;
+        let bar = self.ctx.progress(1000, "rendering");
+        let (mut saved, mut failure) = (Instant::now(), None);
+        let progress = shot.render(film, until, &stop, &mut |film, progress| {
+            bar.set_position((progress.fraction * 1000.0) as u64);
+            bar.set_message(tell(progress));
+            let mut written = Ok(());
+            if let Some(path) = &self.args.preview {
+                written = preview(path, film);
+            }
+            if saved.elapsed() > BETWEEN_CHECKPOINTS {
+                written = written.and_then(|()| self.save(film));
+                saved = Instant::now();
+            }
+            if let Err(error) = written {
+                stop.store(true, Ordering::Relaxed);
+                failure.get_or_insert(error);
+            }
+        });
+        drop(bar);
+        // What has been rendered is not lost with a preview that cannot be written.
+        if let Some(error) = failure {
+            self.picture(film)?;
+            return Err(error);
+        }
+        if stop.load(Ordering::Relaxed) {
+            self.ctx.note("interrupted: writing what is there");
+        }
+        Ok(progress)
+    }
+
+    fn save(&self, film: &Film) -> anyhow::Result<()> {
+        match &self.args.checkpoint {
+            Some(path) => Ok(checkpoint::write(path, film, &self.identity)?),
+            None => Ok(()),
+        }
+    }
+
+    fn picture(&self, film: &Film) -> anyhow::Result<()> {
+        let options = ExrOptions {
+            precision: Precision::Float,
+            software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
+            command: Some(self.ctx.command_line.clone()),
+            seed: Some(self.args.seed),
+            ..Default::default()
+        };
+        let channels = film.channels();
+        let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, &values[..])).collect();
+        let size = film.size().map(|s| s as usize);
+        Ok(write_exr_channels(&self.args.output, (size[0], size[1]), &channels, &options)?)
+    }
+
+    fn finish(&self, film: &Film, integrator: &str, progress: &Progress, loaded: Duration) -> anyhow::Result<()> {
+        self.picture(film)?;
+        self.save(film)?;
+        if film.broken() > 0 {
+            self.ctx.warn(format!("{} samples were not finite and count as black", film.broken()));
+        }
+        let seconds = progress.elapsed.as_secs_f64();
+        self.ctx.note(format!("{}: {}", self.args.output.display(), tell(progress)));
+        self.ctx.emit_json(json!({
+            "output": self.args.output.to_string_lossy(),
+            "integrator": integrator,
+            "size": film.size(),
+            "seed": self.args.seed,
+            "samples_per_pixel": film.samples().0,
+            "samples_per_pixel_most": film.samples().1,
+            "rays": progress.rays,
+            "load_seconds": loaded.as_secs_f64(),
+            "render_seconds": seconds,
+            "rays_per_second": progress.rays as f64 / seconds.max(1e-9),
+            "broken_samples": film.broken(),
+        }))
+    }
+}
+
+fn tell(p: &Progress) -> String {
+    let rate = p.rays as f64 / p.elapsed.as_secs_f64().max(1e-9) / 1e6;
+    format!("{} samples per pixel, {rate:.2} million rays/s, {:.1} s", p.samples, p.elapsed.as_secs_f64())
+}
+
+/// The picture as it would be seen, clipped at 1.
+fn preview(path: &Path, film: &Film) -> anyhow::Result<()> {
+    let code = |v: f32| (linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0).round() as u8;
+    let pixels: Vec<u8> = film.rgb().into_iter().map(code).collect();
+    let [w, h] = film.size().map(|s| s as usize);
+    Ok(write_png8(path, (w, h), &pixels)?)
+}
