@@ -1,6 +1,6 @@
 //! Ray throughput on one thread, ours beside Embree on the same meshes and rays, in the same run.
 //!
-//! `cargo run --release -p translume-bench-trace --features embree` prints the table and writes
+//! `cargo run --release -p bench-trace --features embree` prints the table and writes
 //! `benches/results/trace-throughput.{csv,md}`. Without the feature, the Embree columns are empty. Scanned meshes are
 //! taken from `$TRANSLUME_DATA/meshes`; without the variable only the procedural one is measured.
 //!
@@ -136,7 +136,8 @@ fn save(csv: &str, table: &str) -> anyhow::Result<()> {
     let model = machine.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ")).map_or("unknown", |m| m.1);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let head = format!(
-        "# Ray throughput on one thread\n\nMachine: {model}, {cores} cores. Medians of {ROUNDS} interleaved rounds.\n\n"
+        "# Ray throughput on one thread\n\nMachine: {model}, {cores} cores. Medians of {ROUNDS} interleaved rounds:\n\
+         absolute figures depend on what else runs, ratios hardly do. “portable” is the same code without AVX2.\n\n"
     );
     std::fs::write(folder.join("trace-throughput.csv"), format!("# {model}; {cores} cores\n{csv}"))?;
     std::fs::write(folder.join("trace-throughput.md"), head + table)?;

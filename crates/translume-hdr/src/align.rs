@@ -34,8 +34,10 @@ pub struct Aligned {
     pub note: Option<String>,
 }
 
-/// A motion must lower the cost to this share of the simpler one's to be believed.
+/// A global motion must lower the cost to this share of standing still to be believed.
 const MUST_IMPROVE: f64 = 0.985;
+/// A local field, which has a hundred times the freedom, to this share of the global motion's.
+const FIELD_MUST_IMPROVE: f64 = 0.96;
 /// A global motion below this many pixels everywhere is none.
 const STILL: f32 = 0.12;
 
@@ -154,7 +156,7 @@ fn align_pair(reference: &Shot<'_>, through: &Field, shot: &Shot<'_>, how: Align
             (x + d[0], y + d[1])
         });
         let without = cost_of(&a[0], &moved[0], |x, y| (x, y));
-        if with_grid < MUST_IMPROVE * without && grid.nodes.iter().any(|d| d[0].hypot(d[1]) > STILL) {
+        if with_grid < FIELD_MUST_IMPROVE * without && grid.nodes.iter().any(|d| d[0].hypot(d[1]) > STILL) {
             field.grid = Some(grid);
             cost = global_cost * with_grid / without.max(1e-12);
         }

@@ -122,9 +122,16 @@ pub(crate) fn confidences(
         let mut towards: Option<usize> = None;
         for i in chain {
             let expect = |from: usize| Expectation::new((from, &shots[from]), (i, &shots[i]), points);
-            let between = towards.map(|j| Witness { index: j, expectation: expect(j), confidence: out[j].as_deref() });
-            let first = Witness { index: anchor, expectation: expect(anchor), confidence: None };
-            let raw = confidence(shots, aligned, &first, between.as_ref(), i, params);
+            let by_anchor = expect(anchor);
+            let by_neighbour = towards.map(|j| (j, expect(j)));
+            let witness = |j: usize, expectation| Witness {
+                index: j,
+                theirs: Intervals::new(&shots[j], None),
+                mine: Intervals::new(&shots[i], Some(expectation)),
+                confidence: out[j].as_deref(),
+            };
+            let between = by_neighbour.as_ref().map(|(j, e)| witness(*j, e));
+            let raw = confidence(shots, aligned, &witness(anchor, &by_anchor), between.as_ref(), i, params);
             out[i] = Some(soften(&raw, shots[i].width(), shots[i].height()));
             towards = Some(i);
         }
@@ -132,29 +139,68 @@ pub(crate) fn confidences(
     out
 }
 
+/// The interval that each value of a picture stands for, ready to be compared: tabulated where values are codes.
+struct Intervals<'a> {
+    shot: &'a Shot<'a>,
+    expectation: Option<&'a Expectation>,
+    /// `[channel][4 · code]`
+    table: Option<[Vec<(f32, f32)>; 3]>,
+}
+
+/// Entries of a table per unit of code: four per 8-bit code, so that those are met exactly.
+const ENTRIES: usize = 1020;
+
+impl<'a> Intervals<'a> {
+    /// Of `shot`, moved and widened by what is expected of it, if something is.
+    fn new(shot: &'a Shot<'a>, expectation: Option<&'a Expectation>) -> Self {
+        let mut out = Self { shot, expectation, table: None };
+        if matches!(shot.decoder.kind, Kind::Curve { .. }) {
+            let column = |c| (0..=ENTRIES).map(|k| out.compute(c, k as f32 / ENTRIES as f32)).collect();
+            out.table = Some([column(0), column(1), column(2)]);
+        }
+        out
+    }
+
+    fn compute(&self, c: usize, u: f32) -> (f32, f32) {
+        let (offset, tolerance) = self.expectation.map_or((0.0, 0.0), |e| e.at(self.shot, c, u));
+        let (low, high) = self.shot.decoder.interval(c, u, u);
+        let shift = self.shot.log_secs + offset;
+        (low - shift - tolerance, high - shift + tolerance)
+    }
+
+    #[inline]
+    fn at(&self, c: usize, u: f32) -> (f32, f32) {
+        match &self.table {
+            Some(t) => t[c][(u * ENTRIES as f32 + 0.5) as usize],
+            None => self.compute(c, u),
+        }
+    }
+}
+
 /// A picture that others are held against.
 struct Witness<'a> {
     index: usize,
-    expectation: Expectation,
+    /// What its values stand for.
+    theirs: Intervals<'a>,
+    /// What the values of the picture in question stand for, as seen from here.
+    mine: Intervals<'a>,
     /// Where it is itself trusted; everywhere, if `None`.
     confidence: Option<&'a [u8]>,
 }
 
 /// The rows of a [`Witness`] that a strip needs.
 struct Testimony<'a> {
-    shot: &'a Shot<'a>,
-    expectation: &'a Expectation,
+    witness: &'a Witness<'a>,
     strip: Strip,
     confidence: Option<&'a [u8]>,
 }
 
-impl<'a> Witness<'a> {
-    fn rows(&'a self, shots: &'a [Shot<'a>], aligned: &[Aligned], rows: std::ops::Range<usize>) -> Testimony<'a> {
+impl Witness<'_> {
+    fn rows(&self, shots: &[Shot<'_>], aligned: &[Aligned], rows: std::ops::Range<usize>) -> Testimony<'_> {
         let shot = &shots[self.index];
         let w = shot.width();
         Testimony {
-            shot,
-            expectation: &self.expectation,
+            witness: self,
             confidence: self.confidence.map(|c| &c[rows.start * w..rows.end * w]),
             strip: warp::strip(shot, &aligned[self.index].field, rows),
         }
@@ -162,20 +208,19 @@ impl<'a> Witness<'a> {
 }
 
 impl Testimony<'_> {
-    /// Per channel by how much more than expected `codes` of picture `b` contradict this one at pixel (x, y), and
-    /// whether this one leaves an end open. `None` where it does not see the pixel or is not trusted.
-    fn contradicts(&self, b: &Shot<'_>, codes: [f32; 3], x: usize, y: usize) -> Option<[(f32, bool); 3]> {
+    /// Per channel by how much more than expected `codes` of the picture in question contradict this one at pixel
+    /// (x, y), and whether this one leaves an end open. `None` where it does not see the pixel or is not trusted.
+    #[inline]
+    fn contradicts(&self, codes: [f32; 3], x: usize, y: usize) -> Option<[(f32, bool); 3]> {
         let (w, p) = (self.strip.width, y * self.strip.width + x);
         if !self.strip.seen[p] || self.confidence.is_some_and(|c| c[p] <= 128) {
             return None;
         }
         let around = neighbourhood(&self.strip, x, y, self.strip.seen.len() / w);
         Some(std::array::from_fn(|c| {
-            let (offset, tolerance) = self.expectation.at(b, c, codes[c]);
-            let mine = shift(b.decoder.interval(c, codes[c], codes[c]), b.log_secs + offset);
-            let theirs = shift(self.shot.decoder.interval(c, around[c].0, around[c].1), self.shot.log_secs);
-            let open = theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY;
-            ((gap(mine, theirs) - tolerance).max(0.0), open)
+            let mine = self.witness.mine.at(c, codes[c]);
+            let theirs = (self.witness.theirs.at(c, around[c].0).0, self.witness.theirs.at(c, around[c].1).1);
+            (gap(mine, theirs), theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY)
         }))
     }
 }
@@ -197,8 +242,8 @@ fn confidence(
         let picture = warp::strip(&shots[i], &aligned[i].field, s0..s1);
         let first = anchor.rows(shots, aligned, s0..s1);
         let second = between.map(|b| b.rows(shots, aligned, s0..s1));
-        let gaps = box_mean(&gaps(&shots[i], &picture, &first, second.as_ref()), w, AVERAGE);
-        let correlations = correlations(first.shot, &shots[i], &first.strip, &picture);
+        let gaps = box_mean(&gaps(&picture, &first, second.as_ref()), w, AVERAGE);
+        let correlations = correlations(&shots[anchor.index], &shots[i], &first.strip, &picture);
         for (o, p) in rows.iter_mut().zip((y0 - s0) * w..) {
             let by_gap = 1.0 - smoothstep(params.gap.0, params.gap.1, gaps[p]);
             let by_correlation = smoothstep(params.correlation - 0.03, params.correlation, correlations[p]);
@@ -214,14 +259,14 @@ fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
 }
 
 /// Contradiction per pixel, the largest over the channels, in ln units.
-fn gaps(b: &Shot<'_>, picture: &Strip, first: &Testimony<'_>, second: Option<&Testimony<'_>>) -> Vec<f32> {
+fn gaps(picture: &Strip, first: &Testimony<'_>, second: Option<&Testimony<'_>>) -> Vec<f32> {
     let w = picture.width;
     let mut out = vec![0.0f32; picture.seen.len()];
     for (p, out) in out.iter_mut().enumerate().filter(|(p, _)| picture.seen[*p]) {
         let (x, y, codes) = (p % w, p / w, picture.pixel(p));
-        let by_first = first.contradicts(b, codes, x, y).unwrap_or([(0.0, true); 3]);
+        let by_first = first.contradicts(codes, x, y).unwrap_or([(0.0, true); 3]);
         let open = by_first.iter().any(|c| c.1);
-        let by_second = second.filter(|_| open).and_then(|s| s.contradicts(b, codes, x, y));
+        let by_second = second.filter(|_| open).and_then(|s| s.contradicts(codes, x, y));
         for c in 0..3 {
             *out = out.max(by_first[c].0);
             if let (true, Some(s)) = (by_first[c].1, by_second) {
@@ -231,11 +276,6 @@ fn gaps(b: &Shot<'_>, picture: &Strip, first: &Testimony<'_>, second: Option<&Te
         *out = out.min(GAP_CAP);
     }
     out
-}
-
-#[inline]
-fn shift(interval: (f32, f32), log_secs: f32) -> (f32, f32) {
-    (interval.0 - log_secs, interval.1 - log_secs)
 }
 
 /// Distance between two intervals, 0 if they meet.
@@ -248,16 +288,17 @@ fn gap(a: (f32, f32), b: (f32, f32)) -> f32 {
 #[inline]
 fn neighbourhood(s: &Strip, x: usize, y: usize, rows: usize) -> [(f32, f32); 3] {
     let own = s.pixel(y * s.width + x);
-    let mut out = own.map(|v| (v, v));
+    let (mut low, mut high) = (own, own);
+    let (x0, x1) = (x.saturating_sub(1), (x + 2).min(s.width));
     for ny in y.saturating_sub(1)..(y + 2).min(rows) {
-        for nx in x.saturating_sub(1)..(x + 2).min(s.width) {
-            let p = s.pixel(ny * s.width + nx);
+        for p in s.codes[3 * (ny * s.width + x0)..3 * (ny * s.width + x1)].as_chunks::<3>().0 {
             for c in 0..3 {
-                out[c] = (out[c].0.min(p[c]), out[c].1.max(p[c]));
+                low[c] = low[c].min(p[c]);
+                high[c] = high[c].max(p[c]);
             }
         }
     }
-    std::array::from_fn(|c| (0.5 * (out[c].0 + own[c]), 0.5 * (out[c].1 + own[c])))
+    std::array::from_fn(|c| (0.5 * (low[c] + own[c]), 0.5 * (high[c] + own[c])))
 }
 
 /// K of the thesis: Σ c_i c_r / √(Σ c_i² Σ c_r²) over 11 × 11, values brought to a common exposure and clamped to the

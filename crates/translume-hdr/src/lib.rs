@@ -19,6 +19,7 @@ mod plane;
 mod response;
 mod sampling;
 mod sets;
+pub mod simulate;
 mod warp;
 mod weight;
 

@@ -23,6 +23,10 @@ const TEN_PERCENT: f32 = 0.1;
 /// Steps of the ascent on the coarsest and on all finer levels.
 const RADIUS: (usize, usize) = (4, 2);
 
+/// Levels of at most this many pixels are also searched from a lattice of starts 3 pixels apart, up to 6 away: near
+/// things that move far against the rest are found while they still fill a block.
+const WIDE_SEARCH: usize = 36_000;
+
 /// Displacements (in finest pixels, at blocks of 16) that align `other` with `anchor`; both are pyramids, finest first.
 pub(crate) fn estimate(anchor: &[Plane], other: &[Plane]) -> Grid {
     let coarsest = anchor.len() - 1;
@@ -40,6 +44,7 @@ pub(crate) fn estimate(anchor: &[Plane], other: &[Plane]) -> Grid {
 fn match_level(a: &Plane, b: &Plane, parent: Option<&(Grid, Vec<f32>)>, radius: usize) -> (Grid, Vec<f32>) {
     let mut grid = Grid::zero(BLOCK, a.width, a.height);
     let (nx, ny) = (grid.nx, grid.ny);
+    let wide = a.width * a.height <= WIDE_SEARCH;
     let results: Vec<([f32; 2], f32)> = (0..nx * ny)
         .into_par_iter()
         .map(|k| {
@@ -48,6 +53,11 @@ fn match_level(a: &Plane, b: &Plane, parent: Option<&(Grid, Vec<f32>)>, radius: 
                 None => ([0.0; 2], vec![[0, 0]], 0.0),
                 Some((p, scores)) => starts_of(p, scores, grid.centre(bx), grid.centre(by)),
             };
+            let mut starts = starts;
+            if wide {
+                let c = [centre[0].round() as i32, centre[1].round() as i32];
+                starts.extend((-2..=2).flat_map(|y| (-2..=2).map(move |x| [c[0] + 3 * x, c[1] + 3 * y])));
+            }
             best_of(a, b, bx, by, centre, &starts, radius, parent_score)
         })
         .collect();

@@ -41,7 +41,8 @@ pub(crate) enum Trust {
     Measured,
     /// Clipped in every picture: a lower bound in some channel.
     Bound,
-    /// Clipped in the anchor, and the pictures that are not show something else: a lower bound in some channel.
+    /// Clipped in the anchor, and the pictures that are not show something else, or do not reach here: a lower bound in
+    /// some channel.
     Hole,
 }
 
@@ -74,6 +75,7 @@ fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], Trus
         let (mut sum, mut total) = (0.0f32, 0.0f32);
         for (k, (shot, strip)) in m.shots.iter().zip(strips).enumerate() {
             if !strip.seen[p] {
+                rejected |= shot.log_secs < m.shots[m.anchor].log_secs;
                 continue;
             }
             let u = strip.codes[3 * p + c];

@@ -9,13 +9,11 @@ use std::path::Path;
 /// Most samples (pixels times channels) of one picture: 2^31, which is 700 Mpixel of RGB.
 pub const MAX_SAMPLES: u64 = 1 << 31;
 
-/// Bytes out per byte in that DEFLATE (1032), LZW (about 2700) and RLE (64) cannot exceed.
+/// Bytes out per byte in that DEFLATE (1032), LZW (about 2700), JPEG (about 1000) and RLE (64) cannot exceed.
 pub(crate) const MAX_RATIO: u64 = 4096;
 
-/// The same for OpenEXR, whose lossy codecs pack constant blocks twice.
-pub(crate) const MAX_RATIO_EXR: u64 = 1 << 20;
-
-/// The number of samples of a `width × height × channels` picture, if it is plausible for a file of `file_bytes`.
+/// The number of samples of a `width × height × channels` picture, if it is plausible for a file of `file_bytes` that
+/// stores `bits` a pixel, compressed by `max_ratio` at most.
 ///
 /// # Errors
 /// [`Error::Invalid`] without pixels or when the file is too short for the claim; [`Error::Unsupported`] above
@@ -24,7 +22,7 @@ pub(crate) fn samples(
     path: &Path,
     (width, height): (u64, u64),
     channels: u64,
-    bytes_per_sample: u64,
+    bits: u64,
     file_bytes: u64,
     max_ratio: u64,
 ) -> Result<usize> {
@@ -38,7 +36,8 @@ pub(crate) fn samples(
             format!("{width} × {height} × {channels} samples are more than the limit of 2^31; split the picture"),
         ));
     };
-    if count * bytes_per_sample > file_bytes.saturating_mul(max_ratio).saturating_add(4096) {
+    // Below 2^31 pixels and some hundred bits each, the product fits.
+    if (width * height).saturating_mul(bits) / 8 > file_bytes.saturating_mul(max_ratio).saturating_add(4096) {
         return Err(Error::invalid(
             path,
             format!(
@@ -54,8 +53,23 @@ pub(crate) fn samples(
 /// # Errors
 /// [`Error::Unsupported`] when the machine refuses the memory.
 pub(crate) fn buffer<T: Clone + Default>(path: &Path, len: usize) -> Result<Vec<T>> {
-    let mut v = Vec::new();
-    v.try_reserve_exact(len).map_err(|_| Error::unsupported(path, "not enough memory for this picture"))?;
-    v.resize(len, T::default());
-    Ok(v)
+    // Asked first, because the zeroed allocation below, which the system makes for free, cannot fail politely.
+    let probe = Vec::<T>::new().try_reserve_exact(len);
+    probe.map_err(|_| Error::unsupported(path, "not enough memory for this picture"))?;
+    Ok(vec![T::default(); len])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plausible_sizes_pass_and_bombs_do_not() {
+        let check = |size, bits, file| samples(Path::new("a.png"), size, 3, bits, file, MAX_RATIO);
+        assert_eq!(check((10_000, 10_000), 24, 1 << 20).unwrap(), 300_000_000); // 100 Mpixel, well packed
+        assert!(matches!(check((10_000, 10_000), 24, 100), Err(Error::Invalid { .. })));
+        assert!(matches!(check((1 << 31, 1 << 31), 24, u64::MAX), Err(Error::Unsupported { .. })));
+        assert!(matches!(check((u64::MAX, 2), 24, u64::MAX), Err(Error::Unsupported { .. })));
+        assert!(matches!(check((0, 5), 24, 100), Err(Error::Invalid { .. })));
+    }
 }

@@ -123,3 +123,97 @@ fn through_tables(samples: Samples, profile: &ColorProfile) -> std::result::Resu
     }
     Ok(out)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moxcms::{LutDataType, LutStore, LutType, LutWarehouse, Matrix3d, ProfileClass};
+
+    fn linear(profile: &ColorProfile, samples: Samples) -> Vec<f32> {
+        let metadata = Metadata { icc: Some(profile.encode().unwrap()), ..Metadata::default() };
+        let codes = Codes { width: 2, height: 1, samples, metadata };
+        linearise(codes, Transfer::Srgb, Path::new("a.png")).unwrap().0
+    }
+
+    fn near(got: &[f32], expected: &[f32], tolerance: f32) {
+        assert!(got.iter().zip(expected).all(|(g, e)| (g - e).abs() < tolerance), "{got:?} instead of {expected:?}");
+    }
+
+    #[test]
+    fn a_wide_profile_gives_negative_light_and_keeps_white() {
+        let got = linear(&ColorProfile::new_display_p3(), Samples::U8(vec![255, 0, 0, 255, 255, 255]));
+        // Display P3 red in linear Rec. 709, as the primaries of both give it.
+        near(&got, &[1.2249, -0.0420, -0.0196, 1.0, 1.0, 1.0], 2e-3);
+        let adobe = linear(&ColorProfile::new_adobe_rgb(), Samples::U16(vec![0, 65535, 0, 32768, 32768, 32768]));
+        let half = 0.5f32.powf(563.0 / 256.0);
+        near(&adobe, &[-0.3983, 1.0, -0.0429, half, half, half], 2e-3);
+    }
+
+    #[test]
+    fn float_samples_go_through_the_curves_of_their_profile() {
+        let got = linear(&ColorProfile::new_srgb(), Samples::F32(vec![0.5, 0.5, 0.5, 1.0, 1.0, 1.0]));
+        near(&got, &[0.2140, 0.2140, 0.2140, 1.0, 1.0, 1.0], 1e-3);
+    }
+
+    #[test]
+    fn a_gray_profile_has_its_own_curve() {
+        let got = linear(&ColorProfile::new_gray_with_gamma(1.8), Samples::U8(vec![0, 0, 0, 128, 128, 128]));
+        near(&got[3..], &[(128.0f32 / 255.0).powf(1.8); 3], 1e-3);
+    }
+
+    /// A scanner-like profile: curves, then a table of device colours in XYZ; red and blue are exchanged in it.
+    fn table_profile() -> ColorProfile {
+        let curve = (0..256).map(|i| (colour::srgb_to_linear(i as f32 / 255.0) * 65535.0).round() as u16);
+        let colorants = ColorProfile::new_srgb().colorant_matrix().v;
+        let mut table = Vec::new();
+        for i in 0..8 {
+            let exchanged = [f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2)];
+            // XYZ of lut16 is in units of 1/32768.
+            table.extend(colour::product_vec(&colorants, exchanged).map(|v| (v * 32768.0).round() as u16));
+        }
+        let mut profile = ColorProfile::new_srgb();
+        profile.profile_class = ProfileClass::InputDevice;
+        (profile.red_trc, profile.green_trc, profile.blue_trc, profile.cicp) = (None, None, None, None);
+        profile.lut_a_to_b_perceptual = Some(LutWarehouse::Lut(LutDataType {
+            num_input_channels: 3,
+            num_output_channels: 3,
+            num_clut_grid_points: 2,
+            matrix: Matrix3d { v: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] },
+            num_input_table_entries: 256,
+            num_output_table_entries: 2,
+            input_table: LutStore::Store16(std::iter::repeat_n(curve, 3).flatten().collect()),
+            clut_table: LutStore::Store16(table),
+            output_table: LutStore::Store16(vec![0, 65535, 0, 65535, 0, 65535]),
+            lut_type: LutType::Lut16,
+        }));
+        profile
+    }
+
+    #[test]
+    fn a_profile_with_tables_is_followed() {
+        let got = linear(&table_profile(), Samples::U8(vec![255, 0, 0, 128, 128, 128]));
+        let gray = colour::srgb_to_linear(128.0 / 255.0);
+        near(&got, &[0.0, 0.0, 1.0, gray, gray, gray], 0.01);
+    }
+
+    #[test]
+    fn what_is_no_profile_for_rgb_is_refused() {
+        for profile in [b"no profile".to_vec(), ColorProfile::new_lab().encode().unwrap()] {
+            let metadata = Metadata { icc: Some(profile), ..Metadata::default() };
+            let codes = Codes { width: 1, height: 1, samples: Samples::U8(vec![0; 3]), metadata };
+            let error = linearise(codes, Transfer::Srgb, Path::new("a.png")).unwrap_err().to_string();
+            assert!(error.starts_with("a.png: ") && error.contains("ICC"), "{error}");
+        }
+    }
+
+    #[test]
+    fn primaries_of_float_files_are_brought_to_rec709() {
+        let metadata = Metadata { chromaticities: Some(Space::ACESCG.chromaticities()), ..Metadata::default() };
+        let samples = Samples::F32(vec![0.5, 0.5, 0.5, 1.0, 0.0, 0.0]);
+        let (got, metadata) =
+            linearise(Codes { width: 2, height: 1, samples, metadata }, Transfer::Power(1.0), Path::new("a")).unwrap();
+        // ACEScg red, D60 adapted to D65 by Bradford.
+        near(&got, &[0.5, 0.5, 0.5, 1.705, -0.130, -0.024], 1e-3);
+        assert_eq!(metadata.chromaticities, None);
+    }
+}

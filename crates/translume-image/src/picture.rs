@@ -41,7 +41,7 @@ impl Metadata {
 pub struct Picture {
     /// Linear RGB.
     pub pixels: Rgb32FImage,
-    /// Coverage in [0, 1], one value a pixel, if the file has it.
+    /// Coverage in [0, 1], one value a pixel, if the file has it; the pixels are multiplied by it, as in OpenEXR.
     pub alpha: Option<Vec<f32>>,
     /// What the file says.
     pub metadata: Metadata,

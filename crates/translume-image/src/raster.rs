@@ -18,6 +18,8 @@ pub(crate) struct Raster {
     pub channels: usize,
     pub samples: Samples,
     pub transfer: Transfer,
+    /// Whether colour is multiplied by alpha already (OpenEXR), where there is alpha.
+    pub associated: bool,
     pub orientation: Orientation,
     pub metadata: Metadata,
 }

@@ -1,6 +1,6 @@
 //! Reading any supported file.
 
-use crate::formats::{exr_read, jpeg, pfm, png, radiance, tiff};
+use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tiff};
 use crate::raster::Raster;
 use crate::{Codes, Error, Picture, Result, Samples, linear};
 use image::Rgb32FImage;
@@ -70,7 +70,7 @@ impl Format {
 /// [`Error::Io`]; [`Error::Invalid`] for damaged or truncated files; [`Error::Unsupported`] for formats and sizes that
 /// are not read.
 pub fn read_codes(path: &Path) -> Result<Codes> {
-    Ok(read(path)?.into_codes().0)
+    Ok(read(path, None)?.into_codes().0)
 }
 
 /// Reads linear light in Rec. 709: 8 and 16-bit files through their ICC profile or the sRGB curve, OpenEXR and Radiance
@@ -80,7 +80,16 @@ pub fn read_codes(path: &Path) -> Result<Codes> {
 /// # Errors
 /// As [`read_codes`].
 pub fn read_picture(path: &Path) -> Result<Picture> {
-    picture(read(path)?, path)
+    picture(read(path, None)?, path)
+}
+
+/// [`read_picture`] of one layer of an OpenEXR file: channels such as `albedo.R` make the layer `albedo`, and a part is
+/// the layer of its name.
+///
+/// # Errors
+/// As [`read_codes`]; [`Error::Mismatch`] when there is no such layer.
+pub fn read_layer(path: &Path, layer: &str) -> Result<Picture> {
+    picture(read(path, Some(layer))?, path)
 }
 
 /// [`read_codes`] of a file in memory; `name` stands in messages.
@@ -100,27 +109,37 @@ pub fn decode_picture(file: &[u8], name: &Path) -> Result<Picture> {
 }
 
 fn picture(raster: Raster, path: &Path) -> Result<Picture> {
-    let transfer = raster.transfer;
+    let (transfer, associated) = (raster.transfer, raster.associated);
     let (codes, alpha) = raster.into_codes();
     let (width, height) = (codes.width as u32, codes.height as u32);
-    let (rgb, metadata) = linear::linearise(codes, transfer, path)?;
+    let (mut rgb, metadata) = linear::linearise(codes, transfer, path)?;
+    if let Some(alpha) = alpha.as_ref().filter(|_| !associated) {
+        rgb.as_chunks_mut::<3>().0.iter_mut().zip(alpha).for_each(|(p, a)| *p = p.map(|v| v * a));
+    }
     let pixels = Rgb32FImage::from_raw(width, height, rgb)
         .ok_or_else(|| Error::invalid(path, "fewer pixels than the header says"))?;
     Ok(Picture { pixels, alpha, metadata })
 }
 
-fn read(path: &Path) -> Result<Raster> {
+fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
     let io = |e| Error::io(path, e);
     let mut file = File::open(path).map_err(io)?;
+    if raw::is_raw(path) {
+        return raw::read(path);
+    }
     let length = file.metadata().map_err(io)?.len();
     let mut head = Vec::with_capacity(16);
     (&mut file).take(16).read_to_end(&mut head).map_err(io)?;
     file.seek(SeekFrom::Start(0)).map_err(io)?;
     // OpenEXR files may be larger than their picture (other parts and levels): streamed. The others are read whole.
     if Format::of(&head) == Some(Format::Exr) {
-        return exr_read::read(BufReader::with_capacity(1 << 16, file), length, path);
+        return exr_read::read(BufReader::with_capacity(1 << 16, file), layer, length, path);
     }
-    format_of(&head, path)?;
+    let format = format_of(&head, path)?;
+    if layer.is_some() {
+        let message = format!("{}: {} files have no layers", path.display(), format.name());
+        return Err(Error::Mismatch(message));
+    }
     let mut bytes = Vec::new();
     bytes
         .try_reserve_exact(usize::try_from(length).unwrap_or(usize::MAX))
@@ -138,7 +157,7 @@ fn format_of(head: &[u8], path: &Path) -> Result<Format> {
 
 fn decode(file: &[u8], path: &Path) -> Result<Raster> {
     match format_of(file, path)? {
-        Format::Exr => exr_read::read(Cursor::new(file), file.len() as u64, path),
+        Format::Exr => exr_read::read(Cursor::new(file), None, file.len() as u64, path),
         Format::Radiance => radiance::read(file, path),
         Format::Pfm => pfm::read(file, path),
         Format::Png => png::read(file, path),

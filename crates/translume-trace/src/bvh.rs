@@ -202,6 +202,11 @@ impl Bvh {
                 // SAFETY: `build` makes node numbers below nodes.len() only.
                 let node = unsafe { self.nodes.get_unchecked(current.0 as usize) };
                 let (near, mut hits) = slabs.enter(node, ray.t_min, *t_max);
+                if hits & hits.wrapping_sub(1) == 0 && hits != 0 {
+                    // One child: no detour over the stack.
+                    current = node.children[hits.trailing_zeros() as usize & 7];
+                    continue;
+                }
                 if hits != 0 {
                     let near = near.store();
                     let base = top;

@@ -18,6 +18,7 @@ pub(crate) trait Lanes: Copy {
     fn div(self, b: Self) -> Self;
     /// `self * b + c`, rounded once or twice.
     fn mul_add(self, b: Self, c: Self) -> Self;
+    fn abs(self) -> Self;
     /// `b` where either is NaN.
     fn min(self, b: Self) -> Self;
     /// `b` where either is NaN.
@@ -100,6 +101,10 @@ impl Lanes for Portable {
         self.mul(b).add(c)
     }
     #[inline(always)]
+    fn abs(self) -> Self {
+        self.zip(self, |a, _| a.abs())
+    }
+    #[inline(always)]
     fn min(self, b: Self) -> Self {
         self.zip(b, |a, b| if a < b { a } else { b })
     }
@@ -168,6 +173,10 @@ mod avx2 {
             Self(unsafe { _mm256_fmadd_ps(self.0, b.0, c.0) })
         }
         #[inline(always)]
+        fn abs(self) -> Self {
+            Self(unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0) })
+        }
+        #[inline(always)]
         fn min(self, b: Self) -> Self {
             Self(unsafe { _mm256_min_ps(self.0, b.0) })
         }
@@ -231,6 +240,7 @@ mod tests {
         same(pa.sub(pb), xa.sub(xb));
         same(pa.mul(pb), xa.mul(xb));
         same(pa.div(pb), xa.div(xb));
+        same(pa.abs(), xa.abs());
         same(pa.min(pb), xa.min(xb));
         same(pa.max(pb), xa.max(xb));
         assert_eq!((pa.le(pb), pa.lt(pb)), (xa.le(xb), xa.lt(xb)));

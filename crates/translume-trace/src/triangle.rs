@@ -83,11 +83,12 @@ impl Block {
         let zero = L::splat(0.0);
         let (low, high) = (u.min(v).min(w), u.max(v).max(w));
         let inside = zero.le(low) | high.le(zero);
-        let doubtful = !((zero.lt(u) | u.lt(zero)) & (zero.lt(v) | v.lt(zero)) & (zero.lt(w) | w.lt(zero))) & 0xff;
+        let det = u.add(v).add(w);
+        let decided = zero.lt(u.abs().min(v.abs()).min(w.abs())) & det.abs().lt(L::splat(f32::INFINITY));
+        let doubtful = !decided & 0xff;
         let mut best: Option<TriangleHit> = None;
         let sure = inside & !doubtful;
         if sure != 0 {
-            let det = u.add(v).add(w);
             let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(L::splat(ray.s[2])).div(det);
             let mut hits = sure & L::splat(t_min).lt(t) & t.lt(L::splat(t_max));
             if hits != 0 {

@@ -213,8 +213,8 @@ fn quote(argv: &[OsString]) -> String {
 pub(crate) fn install_panic_hook() {
     static TOLD: AtomicBool = AtomicBool::new(false);
     std::panic::set_hook(Box::new(|panic| {
-        // Several threads may fall together: the first tells.
-        if !TOLD.swap(true, Ordering::Relaxed) {
+        // Several threads may fall together: the first tells. Under the guard it is a damaged file, no bug of ours.
+        if !translume_image::guard::is_active() && !TOLD.swap(true, Ordering::Relaxed) {
             let place = panic.location().map(|l| format!(" at {}:{}", l.file(), l.line())).unwrap_or_default();
             let message = flatten(panic.payload_as_str().unwrap_or("unknown"));
             complain(&format!("internal error{place}: {message}; please report it with the command line"));

@@ -6,12 +6,14 @@
 
 use super::exr_chroma;
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, guard, limits, orient::Orientation};
 use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
+use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
-use exr::meta::header::Header;
-use std::io::{BufRead, Seek};
+use exr::meta::{MetaData, header::Header};
+use rayon::prelude::*;
+use std::io::{BufRead, Seek, SeekFrom};
 use std::path::Path;
 
 /// A channel as stored.
@@ -48,8 +50,8 @@ pub struct ExrPart {
 /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] (deep data).
 pub fn read_exr_parts(path: &Path) -> Result<Vec<ExrPart>> {
     let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
-    let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
-    Ok(reader.headers().iter().map(describe).collect())
+    let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| failed(path, e))?;
+    Ok(meta.headers.iter().map(describe).collect())
 }
 
 /// The channels of one part.
@@ -77,14 +79,8 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     refuse_deep(path, &header)?;
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
     let channels = &header.channels.list;
-    let count = limits::samples(
-        path,
-        (width as u64, height as u64),
-        channels.len() as u64,
-        2,
-        file_bytes,
-        limits::MAX_RATIO_EXR,
-    )?;
+    reader.headers().iter().try_for_each(|h| check_stored(h, file_bytes, path))?;
+    let count = width * height * channels.len();
     let mut planes = limits::buffer::<f32>(path, count)?;
     read_lines(reader, part, path, |line| {
         let Vec2(x, y) = line.location.position;
@@ -97,12 +93,30 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     Ok(ExrPlanes { width, height, planes })
 }
 
-pub(crate) fn read<R: BufRead + Seek>(file: R, file_bytes: u64, path: &Path) -> Result<Raster> {
-    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
-    for header in reader.headers() {
+/// Reads the layer called `layer`, without one the picture itself.
+pub(crate) fn read<R: BufRead + Seek>(
+    mut file: R,
+    layer: Option<&str>,
+    file_bytes: u64,
+    path: &Path,
+) -> Result<Raster> {
+    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(path, e))?;
+    for header in &meta.headers {
         refuse_deep(path, header)?;
+        // Those that are not read too: their offset tables are.
+        check_stored(header, file_bytes, path)?;
     }
-    let (part, roles) = choose(reader.headers(), path)?;
+    match meta.headers.as_slice() {
+        [header] if layer.is_none() && exr_chroma::is_subsampled(header) => {
+            return exr_chroma::read(file, header, file_bytes, path);
+        }
+        _ => file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?,
+    };
+    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
+    let (part, roles) = match layer {
+        Some(layer) => choose_layer(reader.headers(), layer, path)?,
+        None => choose(reader.headers(), path)?,
+    };
     let header = reader.headers()[part].clone();
     let frame = Frame::new(&header, roles.slots(), file_bytes, path)?;
     let mut samples = limits::buffer::<f32>(path, frame.width * frame.height * frame.slots)?;
@@ -118,7 +132,7 @@ pub(crate) fn read<R: BufRead + Seek>(file: R, file_bytes: u64, path: &Path) -> 
         });
     })?;
     let metadata = metadata(&header);
-    if let Roles { luma_chroma: true, .. } = roles {
+    if roles.luma_chroma {
         exr_chroma::to_rgb(&mut samples, frame.slots, metadata.chromaticities);
     }
     Ok(raster(&frame, samples, metadata))
@@ -131,6 +145,7 @@ pub(crate) fn raster(frame: &Frame, samples: Vec<f32>, metadata: Metadata) -> Ra
         channels: frame.slots,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: Orientation::default(),
         metadata,
     }
@@ -149,10 +164,9 @@ impl Frame {
         let display = header.shared_attributes.display_window;
         let data = header.data_window();
         let size = (display.size.x() as u64, display.size.y() as u64);
-        // Each window is judged by itself: either may be the bomb.
-        limits::samples(path, size, slots as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
-        let stored = (data.size.x() as u64, data.size.y() as u64);
-        limits::samples(path, stored, header.channels.list.len() as u64, 2, file_bytes, limits::MAX_RATIO_EXR)?;
+        // A crop stores little of a large picture: 8K is always allowed. More must be backed by the file.
+        let backed = if size.0.saturating_mul(size.1) <= 1 << 25 { u64::MAX } else { file_bytes };
+        limits::samples(path, size, slots as u64, 16 * slots as u64, backed, limits::MAX_RATIO)?;
         let offset = (
             i64::from(data.position.x()) - i64::from(display.position.x()),
             i64::from(data.position.y()) - i64::from(display.position.y()),
@@ -196,6 +210,11 @@ impl Roles {
         Some(Self { colour: vec![find("Y")?], alpha, luma_chroma: false })
     }
 
+    /// A part's only channel, as gray.
+    fn lone(header: &Header) -> Option<Self> {
+        (header.channels.list.len() == 1).then(|| Self { colour: vec![0], alpha: None, luma_chroma: false })
+    }
+
     pub(crate) fn slots(&self) -> usize {
         self.colour.len() + usize::from(self.alpha.is_some())
     }
@@ -221,8 +240,8 @@ fn choose(headers: &[Header], path: &Path) -> Result<(usize, Roles)> {
             }
         }
     }
-    match headers.iter().position(|h| h.channels.list.len() == 1) {
-        Some(i) => Ok((i, Roles { colour: vec![0], alpha: None, luma_chroma: false })),
+    match headers.iter().enumerate().find_map(|(i, h)| Some((i, Roles::lone(h)?))) {
+        Some(found) => Ok(found),
         None => {
             let names = headers.iter().flat_map(|h| &h.channels.list).map(|c| c.name.to_string());
             let names: Vec<String> = names.take(12).collect();
@@ -252,6 +271,33 @@ pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take:
     }
 }
 
+/// The part called `layer`, or the part with channels that have `layer` and a dot in front.
+fn choose_layer(headers: &[Header], layer: &str, path: &Path) -> Result<(usize, Roles)> {
+    let prefix = format!("{layer}.");
+    let named = |h: &Header| h.own_attributes.layer_name.as_ref().is_some_and(|n| n.eq(layer));
+    let found = headers.iter().enumerate().find_map(|(i, header)| {
+        let whole_part = named(header).then(|| Roles::of(header, "").or_else(|| Roles::lone(header)));
+        Some((i, Roles::of(header, &prefix).or_else(|| whole_part.flatten())?))
+    });
+    found.ok_or_else(|| {
+        let mut names: Vec<String> = headers
+            .iter()
+            .flat_map(|h| {
+                let channels = h.channels.list.iter();
+                let layers = channels.filter_map(|c| Some(c.name.to_string().rsplit_once('.')?.0.to_owned()));
+                layers.chain(h.own_attributes.layer_name.as_ref().map(ToString::to_string))
+            })
+            .collect();
+        names.sort();
+        names.dedup();
+        let known = if names.is_empty() { "it has none".to_owned() } else { format!("it has {}", names.join(", ")) };
+        Error::Mismatch(format!("{}: no layer '{layer}' with colour; {known}", path.display()))
+    })
+}
+
+/// Chunks that are read before they are decompressed together.
+const BATCH: usize = 64;
+
 /// Decompresses the full-resolution blocks of one part and hands over their lines.
 fn read_lines<R: BufRead + Seek>(
     reader: block::reader::Reader<R>,
@@ -259,14 +305,47 @@ fn read_lines<R: BufRead + Seek>(
     path: &Path,
     mut take: impl FnMut(LineRef<'_>),
 ) -> Result<()> {
-    let chunks = reader
+    let mut chunks = reader
         .filter_chunks(false, |_, tile, block| block.layer == part && tile.level_index == Vec2(0, 0))
         .map_err(|e| failed(path, e))?;
-    let mut insert = |meta: &exr::meta::MetaData, block: UncompressedBlock| {
-        block.lines(&meta.headers[part].channels).for_each(&mut take);
-        Ok(())
+    let meta = chunks.meta_data().clone();
+    loop {
+        let batch: Vec<_> = chunks.by_ref().take(BATCH).collect();
+        if batch.is_empty() {
+            return Ok(());
+        }
+        // Not the crate's own threads: a panic there ends the process (see the guard).
+        let decompress = |chunk| guard::run(|| UncompressedBlock::decompress_chunk(chunk, &meta, false));
+        let blocks: Vec<_> = batch.into_par_iter().map(|chunk| chunk.map(decompress)).collect();
+        for block in blocks {
+            let damaged = || Error::invalid(path, DAMAGED_BLOCK);
+            let block = block.map_err(|e| failed(path, e))?.ok_or_else(damaged)?.map_err(|e| failed(path, e))?;
+            // A wrong offset may lead to a block of another part or level, which has other lines.
+            let header = &meta.headers[part];
+            let end = block.index.pixel_position + block.index.pixel_size;
+            let inside = end.x() <= header.layer_size.x() && end.y() <= header.layer_size.y();
+            let expected = block.index.pixel_size.area() * header.channels.bytes_per_pixel;
+            if block.index.layer != part || block.index.level != Vec2(0, 0) || !inside || block.data.len() != expected {
+                return Err(damaged());
+            }
+            block.lines(&header.channels).for_each(&mut take);
+        }
+    }
+}
+
+pub(crate) const DAMAGED_BLOCK: &str = "a damaged OpenEXR block; copy or render the file again";
+
+/// Whether the file can hold the pixels that a part says are stored.
+fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
+    let size = (header.layer_size.x() as u64, header.layer_size.y() as u64);
+    let channels = header.channels.list.len() as u64;
+    let max_ratio = match header.compression {
+        // Flat blocks are packed twice: by the cosine transform and by DEFLATE.
+        Compression::DWAA(_) | Compression::DWAB(_) => 64 * limits::MAX_RATIO,
+        _ => limits::MAX_RATIO,
     };
-    chunks.decompress_parallel(false, &mut insert).map_err(|e| failed(path, e))
+    limits::samples(path, size, channels, 8 * header.channels.bytes_per_pixel as u64, file_bytes, max_ratio)?;
+    Ok(())
 }
 
 fn refuse_deep(path: &Path, header: &Header) -> Result<()> {

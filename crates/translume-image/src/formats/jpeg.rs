@@ -16,8 +16,8 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let (space, channels) = if gray { (ColorSpace::Luma, 1) } else { (ColorSpace::RGB, 3) };
     decoder.set_options(options.jpeg_set_out_colorspace(space));
-    let count =
-        limits::samples(path, (width as u64, height as u64), channels, 1, file.len() as u64, limits::MAX_RATIO)?;
+    let size = (width as u64, height as u64);
+    let count = limits::samples(path, size, channels, 8 * channels, file.len() as u64, limits::MAX_RATIO)?;
     if !reaches_end(file) {
         return Err(Error::invalid(path, "the JPEG ends before its picture does (truncated); copy the file again"));
     }
@@ -32,6 +32,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: channels as usize,
         samples: Samples::U8(samples),
         transfer: Transfer::Srgb,
+        associated: true,
         orientation,
         metadata,
     })

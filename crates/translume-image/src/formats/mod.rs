@@ -7,4 +7,5 @@ pub(crate) mod jpeg;
 pub(crate) mod pfm;
 pub(crate) mod png;
 pub(crate) mod radiance;
+pub(crate) mod raw;
 pub(crate) mod tiff;

@@ -8,7 +8,7 @@ use std::path::Path;
 pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let (header, pixels) = header(file).ok_or_else(|| Error::invalid(path, "damaged PFM header"))?;
     let channels = if header.colour { 3 } else { 1 };
-    let count = limits::samples(path, (header.width, header.height), channels, 4, pixels.len() as u64 + 1, 1)?;
+    let count = limits::samples(path, (header.width, header.height), channels, 32 * channels, pixels.len() as u64, 1)?;
     let Some(pixels) = pixels.get(..4 * count) else {
         return Err(Error::invalid(path, "the PFM ends before its picture does (truncated)"));
     };
@@ -22,6 +22,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: channels as usize,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: Orientation::default(),
         metadata: Metadata::default(),
     })

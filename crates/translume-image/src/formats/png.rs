@@ -13,15 +13,16 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let header = decoder.read_header_info().map_err(invalid)?;
     let size = (u64::from(header.width), u64::from(header.height));
     let file_bytes = file.len() as u64;
-    limits::samples(path, size, 1, 1, file_bytes, 8 * limits::MAX_RATIO)?; // down to one bit a pixel
+    let bits = (header.color_type.samples() * header.bit_depth as usize) as u64;
+    limits::samples(path, size, 1, bits, file_bytes, limits::MAX_RATIO)?;
     // The pixels are counted here; this limit is for what the decoder holds beside them (profiles, rows).
     decoder.set_limits(png::Limits { bytes: 64 << 20 });
     let mut reader = decoder.read_info().map_err(invalid)?;
     let (colour, depth) = reader.output_color_type();
     let channels = colour.samples();
     let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
-    // A palette of one bit a pixel grows to RGBA: 32 bytes out per packed byte.
-    let count = limits::samples(path, size, channels as u64, bytes, file_bytes, 32 * limits::MAX_RATIO)?;
+    // Palettes and gray of a few bits grow here; what the file must hold was checked above.
+    let count = limits::samples(path, size, channels as u64, bits, file_bytes, limits::MAX_RATIO)?;
 
     let samples = if bytes == 2 {
         let mut big_endian = limits::buffer::<u8>(path, count * 2)?;
@@ -46,7 +47,16 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         }
         _ => Transfer::Srgb,
     };
-    Ok(Raster { width: size.0 as usize, height: size.1 as usize, channels, samples, transfer, orientation, metadata })
+    Ok(Raster {
+        width: size.0 as usize,
+        height: size.1 as usize,
+        channels,
+        samples,
+        transfer,
+        associated: false,
+        orientation,
+        metadata,
+    })
 }
 
 /// Writes 8-bit sRGB, `3 * width * height` values.
@@ -108,4 +118,38 @@ fn write(
         writer.write_image_data(bytes).map_err(failed)?;
         writer.finish().map_err(failed)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gamma_chunk_is_followed_unless_srgb_is_said() {
+        let encode = |srgb: bool, gamma: f32| {
+            let mut bytes = Vec::new();
+            let mut encoder = png::Encoder::new(&mut bytes, 1, 1);
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_source_gamma(png::ScaledFloat::new(gamma));
+            if srgb {
+                encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+            }
+            let mut writer = encoder.write_header().unwrap();
+            writer.write_image_data(&[51, 102, 204]).unwrap();
+            writer.finish().unwrap();
+            bytes
+        };
+        let read = |bytes: Vec<u8>| crate::decode_picture(&bytes, Path::new("a.png")).unwrap().pixels.into_raw();
+        for (got, expected) in read(encode(false, 1.0)).into_iter().zip([0.2f32, 0.4, 0.8]) {
+            assert!((got - expected).abs() < 1e-6);
+        }
+        let srgb = read(encode(true, 0.45455));
+        assert!((srgb[2] - crate::colour::srgb_to_linear(0.8)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn sizes_that_do_not_fit_are_refused() {
+        assert!(write_png8(Path::new("a.png"), (2, 2), &[0; 11]).is_err());
+        assert!(write_gray_png(Path::new("a.png"), (0, 0), &[]).is_err());
+    }
 }

@@ -11,7 +11,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let header = header(file).ok_or_else(|| Error::invalid(path, "damaged Radiance header"))?;
     // A run packs at most 127 bytes into 2.
     let size = (header.columns as u64, header.rows as u64);
-    let count = limits::samples(path, size, 3, 4, file.len() as u64, 4 * 64)?;
+    let count = limits::samples(path, size, 3, 32, file.len() as u64, limits::MAX_RATIO)?;
     let mut samples = limits::buffer::<f32>(path, count)?;
     let mut rest = header.pixels;
     let mut line = vec![[0u8; 4]; header.columns];
@@ -32,6 +32,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels: 3,
         samples: Samples::F32(samples),
         transfer: Transfer::Power(1.0),
+        associated: true,
         orientation: header.orientation,
         metadata: Metadata { chromaticities: header.primaries.filter(|_| !header.xyz), ..Metadata::default() },
     })
@@ -173,7 +174,7 @@ fn decode([r, g, b, e]: [u8; 4], divide_by: [f32; 3]) -> [f32; 3] {
 
 fn encode(rgb: [f32; 3]) -> [u8; 4] {
     // Negative and NaN have no code: black. The largest code stands for everything above it.
-    let rgb = rgb.map(|v| f64::from(v.clamp(0.0, 1.7e38)).max(0.0));
+    let rgb = rgb.map(|v| f64::from(v.clamp(0.0, 1.69e38)).max(0.0));
     let largest = rgb[0].max(rgb[1]).max(rgb[2]);
     if largest < 1e-38 {
         return [0; 4];
@@ -233,4 +234,72 @@ fn pack_line(line: &[[u8; 4]]) -> Vec<u8> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_text(header: &str, pixels: &[u8]) -> Result<Raster> {
+        read(&[header.as_bytes(), pixels].concat(), Path::new("a.hdr"))
+    }
+
+    fn floats(raster: Raster) -> Vec<f32> {
+        let (codes, _) = raster.into_codes();
+        (0..3 * codes.width * codes.height).map(|i| codes.unit(i)).collect()
+    }
+
+    #[test]
+    fn exposure_and_colour_correction_are_undone() {
+        let header =
+            "#?RGBE\n# made by hand\nEXPOSURE=2\nEXPOSURE=4\nCOLORCORR=1 2 1\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n";
+        // 128 · 2^(129 − 136) = 1.
+        assert_eq!(floats(read_text(header, &[128, 128, 64, 129]).unwrap()), [0.125, 0.0625, 0.0625]);
+    }
+
+    #[test]
+    fn old_run_lengths_count_in_base_256() {
+        let header = "#?RADIANCE\n\n-Y 1 +X 260\n";
+        let got = floats(read_text(header, &[128, 0, 0, 129, 1, 1, 1, 3, 1, 1, 1, 1]).unwrap());
+        assert!(got.as_chunks::<3>().0.iter().all(|p| *p == [1.0, 0.0, 0.0]));
+        assert!(read_text(header, &[128, 0, 0, 129, 1, 1, 1, 4, 1, 1, 1, 1]).is_err());
+    }
+
+    #[test]
+    fn every_order_of_pixels_is_turned_upright() {
+        let pixel = |v: u8| [v, 0, 0, 136];
+        // Upright: 10 20 / 30 40.
+        for (order, stored) in [
+            ("-Y 2 +X 2", [10, 20, 30, 40]),
+            ("+Y 2 +X 2", [30, 40, 10, 20]),
+            ("-Y 2 -X 2", [20, 10, 40, 30]),
+            ("+Y 2 -X 2", [40, 30, 20, 10]),
+            ("+X 2 -Y 2", [10, 30, 20, 40]),
+            ("-X 2 -Y 2", [20, 40, 10, 30]),
+            ("+X 2 +Y 2", [30, 10, 40, 20]),
+            ("-X 2 +Y 2", [40, 20, 30, 10]),
+        ] {
+            let got = floats(read_text(&format!("#?RADIANCE\n\n{order}\n"), &stored.map(pixel).concat()).unwrap());
+            assert_eq!([got[0], got[3], got[6], got[9]], [10.0, 20.0, 30.0, 40.0], "{order}");
+        }
+    }
+
+    #[test]
+    fn xyze_becomes_rgb_and_equal_energy_white() {
+        let header = "#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n";
+        let got = floats(read_text(header, &[128, 128, 128, 129]).unwrap());
+        assert!(got.iter().all(|v| (v - 1.0).abs() < 1e-3), "{got:?}");
+    }
+
+    #[test]
+    fn codes_go_round() {
+        for rgb in [[1.0, 0.5, 0.25], [1e-20, 0.0, 0.0], [255.9, 1.0, 3.0], [0.999, 0.999, 0.999], [1.69e38, 1e36, 0.0]]
+        {
+            let back = decode(encode(rgb), [1.0; 3]);
+            let largest = rgb.iter().fold(0.0f32, |m, v| m.max(*v));
+            assert!((0..3).all(|c| (back[c] - rgb[c]).abs() <= largest / 255.0), "{rgb:?} became {back:?}");
+        }
+        assert_eq!(encode([f32::NAN, -1.0, 0.0]), [0; 4]);
+        assert_eq!(decode(encode([f32::INFINITY, 0.0, 0.0]), [1.0; 3])[0].log2().round(), 127.0);
+    }
 }

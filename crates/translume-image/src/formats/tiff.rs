@@ -16,8 +16,8 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let (stored, bits) = layout(colour, path)?;
     let size = (u64::from(w), u64::from(h));
     let bytes = u64::from(bits).div_ceil(8);
-    let ratio = limits::MAX_RATIO * if bits < 8 { 8 } else { 1 };
-    let count = limits::samples(path, size, stored as u64, bytes, file.len() as u64, ratio)?;
+    let pixel_bits = stored as u64 * u64::from(bits);
+    let count = limits::samples(path, size, stored as u64, pixel_bits, file.len() as u64, limits::MAX_RATIO)?;
     let mut limit = tiff::decoder::Limits::default();
     limit.decoding_buffer_size = count.saturating_mul(bytes as usize);
     limit.intermediate_buffer_size = limit.decoding_buffer_size.saturating_add(1 << 20);
@@ -51,6 +51,8 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     };
     exif::read_tiff(file, &mut metadata);
     let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten().unwrap_or(1);
+    // ExtraSamples 1 is associated alpha.
+    let associated = decoder.find_tag_unsigned_vec::<u16>(Tag::ExtraSamples).ok().flatten().is_some_and(|v| v == [1]);
     let linear = matches!(samples, Samples::F32(_));
     Ok(Raster {
         width: w as usize,
@@ -58,6 +60,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         channels,
         samples,
         transfer: if linear { Transfer::Power(1.0) } else { Transfer::Srgb },
+        associated,
         orientation: Orientation::from_exif(u32::from(orientation)),
         metadata,
     })
@@ -66,11 +69,11 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
 /// Stored samples a pixel and bits a sample.
 fn layout(colour: ColorType, path: &Path) -> Result<(usize, u8)> {
     match colour {
-        ColorType::Gray(b) | ColorType::Palette(b) => Ok((1, b)),
-        ColorType::GrayA(b) => Ok((2, b)),
-        ColorType::RGB(b) => Ok((3, b)),
-        ColorType::RGBA(b) => Ok((4, b)),
-        ColorType::CMYK(b) if b == 8 || b == 16 => Ok((4, b)),
+        ColorType::Gray(b) | ColorType::Palette(b) if [1, 2, 4, 8, 16, 32, 64].contains(&b) => Ok((1, b)),
+        ColorType::GrayA(b) if [8, 16, 32, 64].contains(&b) => Ok((2, b)),
+        ColorType::RGB(b) if [8, 16, 32, 64].contains(&b) => Ok((3, b)),
+        ColorType::RGBA(b) if [8, 16, 32, 64].contains(&b) => Ok((4, b)),
+        ColorType::CMYK(b) if [8, 16].contains(&b) => Ok((4, b)),
         other => Err(Error::unsupported(path, format!("TIFF of colour type {other:?}; convert it to RGB first"))),
     }
 }

@@ -26,11 +26,13 @@ pub fn reinhard_global(picture: &Picture, params: &ReinhardParams) -> Display {
     let lum = luminance(rgb);
     // Eq. 1: the log average. Black pixels carry no exposure information (the paper's small delta would let them
     // decide it), so they are left out.
-    let (sum, count) = lum
-        .par_iter()
-        .filter(|l| **l > 0.0 && **l < f32::MAX)
-        .fold(|| (0.0f64, 0u64), |(s, n), &l| (s + f64::from(l).ln(), n + 1))
-        .reduce(|| (0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+    // Blocks of fixed size, summed in order: the same bits for any number of threads.
+    let block = |lum: &[f32]| {
+        let lit = lum.iter().filter(|l| **l > 0.0 && **l < f32::MAX);
+        lit.fold((0.0f64, 0u64), |(s, n), &l| (s + f64::from(l).ln(), n + 1))
+    };
+    let sums: Vec<_> = lum.par_chunks(1 << 14).map(block).collect();
+    let (sum, count) = sums.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
     let scale = if count == 0 { 1.0 } else { params.key / ((sum / count as f64).exp() as f32) }; // Eq. 2
     let brightest = lum.iter().filter(|l| **l < f32::MAX).fold(0.0f32, |a, &b| a.max(b)) * scale;
     let white = params.white.unwrap_or(brightest).max(1e-6);

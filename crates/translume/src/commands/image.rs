@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use translume_image::colour::Space;
 use translume_image::tonemap::{self, Display, FattalParams, ReinhardParams};
 use translume_image::{
-    ExrCompression, ExrOptions, ExrPart, Format, Precision, Samples, read_codes, read_exr_parts, read_picture,
-    write_exr, write_hdr, write_pfm, write_png8, write_png16, write_tiff_float, write_tiff8, write_tiff16,
+    ExrCompression, ExrOptions, ExrPart, Format, Precision, Samples, read_codes, read_exr_parts, read_layer,
+    read_picture, write_exr, write_hdr, write_pfm, write_png8, write_png16, write_tiff_float, write_tiff8,
+    write_tiff16,
 };
 
 const INFO_EXAMPLES: &str = "\
@@ -26,6 +27,9 @@ Examples:
 
   ACEScg, 32 bits:
     translume image convert render.exr -o render-ap1.exr --output-space acescg --precision float
+
+  One layer of many:
+    translume image convert layers.exr -o albedo.exr --layer albedo
 
   Two stops brighter as 16-bit PNG:
     translume image convert render.exr -o render.png --bits 16 --ev 2";
@@ -70,6 +74,9 @@ pub(crate) struct ConvertArgs {
     /// Output file
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Layer of an .exr file: `albedo` for channels albedo.R, albedo.G, albedo.B, or the name of a part
+    #[arg(long, value_name = "NAME")]
+    layer: Option<String>,
     /// Primaries of the output (only .exr and .hdr can say others than Rec. 709)
     #[arg(long, value_name = "SPACE", default_value = "rec709", value_parser = ["rec709", "rec2020", "acescg"])]
     output_space: String,
@@ -225,7 +232,10 @@ fn convert(args: ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
     if args.bits.is_some() && !["png", "tif", "tiff"].contains(&kind.as_str()) {
         return Err(Usage(format!("{}: --bits is for .png and .tif", args.output.display())).into());
     }
-    let mut picture = read_picture(&args.image)?;
+    let mut picture = match &args.layer {
+        Some(layer) => read_layer(&args.image, layer)?,
+        None => read_picture(&args.image)?,
+    };
     let non_finite = picture.count_non_finite();
     if non_finite > 0 {
         ctx.warn(format_args!("{}: {non_finite} values are NaN or infinite", args.image.display()));

@@ -6,10 +6,13 @@
 
 mod compare;
 mod completions;
+mod demo;
 mod hdr;
 mod image;
 mod man;
 mod mesh;
+mod page;
+mod pictures;
 mod scene;
 
 use crate::output::Context;
@@ -18,6 +21,7 @@ use crate::output::Context;
 #[derive(Debug, clap::Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "one value of it exists in a run")]
 pub(crate) enum Verb {
+    Demo(demo::Args),
     Hdr(hdr::Args),
     Mesh(mesh::Args),
     Scene(scene::Args),
@@ -32,6 +36,7 @@ impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {
         match self {
+            Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),

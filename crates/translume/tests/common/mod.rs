@@ -1,6 +1,8 @@
 //! Runs the built program as a user would. Each test file compiles its own copy and may use a part of it.
 #![allow(dead_code, reason = "see above")]
 
+pub(crate) mod bracket;
+
 use std::path::Path;
 use std::process::{Command, Stdio};
 

@@ -66,8 +66,11 @@ pub(crate) struct Args {
     /// What to expect of the capture
     #[arg(long, value_enum, default_value_t = Preset::Handheld, help_heading = "Method")]
     preset: Preset,
-    /// Take the pictures as registered
-    #[arg(long, help_heading = "Method")]
+    /// How far to align [default: nonlinear; off with --preset tripod]
+    #[arg(long, value_enum, value_name = "HOW", help_heading = "Method")]
+    align: Option<Align>,
+    /// Take the pictures as registered: --align off
+    #[arg(long, help_heading = "Method", conflicts_with = "align")]
     no_align: bool,
     /// Keep what moved
     #[arg(long, help_heading = "Method")]
@@ -128,6 +131,16 @@ enum Preset {
     Handheld,
     /// Much moves: stricter ghost removal
     Moving,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Align {
+    /// Not at all
+    Off,
+    /// By one affine map per picture
+    Global,
+    /// Also by a field of local displacements
+    Nonlinear,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -245,8 +258,15 @@ fn params(args: &Args) -> anyhow::Result<Params> {
         Preset::Handheld => Some(GhostParams::default()),
         Preset::Moving => Some(GhostParams { correlation: 0.97, gap: (0.008, 0.035) }),
     };
+    let alignment = match args.align {
+        Some(Align::Off) => Alignment::Off,
+        Some(Align::Global) => Alignment::Global,
+        Some(Align::Nonlinear) => Alignment::NonLinear,
+        None if args.no_align || args.preset == Preset::Tripod => Alignment::Off,
+        None => Alignment::NonLinear,
+    };
     Ok(Params {
-        alignment: if args.no_align || args.preset == Preset::Tripod { Alignment::Off } else { Alignment::NonLinear },
+        alignment,
         ghosts: ghosts.filter(|_| !args.no_deghost),
         anchor: args.anchor,
         response,
@@ -258,8 +278,32 @@ fn params(args: &Args) -> anyhow::Result<Params> {
     })
 }
 
+/// Finds out, before the work is done, whether there is a place for the results.
+fn prepare(targets: &Targets, save_response: Option<&Path>) -> anyhow::Result<()> {
+    let files = [Some(&*targets.exr), targets.preview.as_deref(), targets.mask.as_deref(), save_response];
+    for file in files.into_iter().flatten() {
+        let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if file.is_dir() || !folder.is_dir() {
+            let what = if file.is_dir() { "is a folder; give the name of a file" } else { "its folder does not exist" };
+            bail!("{}: {what}", file.display());
+        }
+    }
+    for folder in [&targets.report, &targets.fields].into_iter().flatten() {
+        // The nearest one that exists must be a folder, the rest can be made.
+        if folder.ancestors().find(|p| p.exists()).is_some_and(|p| !p.is_dir()) {
+            bail!("cannot create {}: a file is in the way", folder.display());
+        }
+    }
+    Ok(())
+}
+
 /// Reads, merges and writes one bracket; returns what `--json` prints.
 fn merge_one(args: &Args, params: &Params, set: &Set, targets: &Targets, ctx: &Context) -> anyhow::Result<Value> {
+    if let Some(anchor) = args.anchor.filter(|a| *a >= set.files.len()) {
+        let n = set.files.len();
+        return Err(Usage(format!("--anchor {anchor}: {} has {n} pictures, counted from 0", set.name)).into());
+    }
+    prepare(targets, args.save_response.as_deref())?;
     let bar = ctx.progress(set.files.len() as u64 * 2 + 5, &set.name);
     let start = std::time::Instant::now();
     let exposures = sets::read(set, args, &|name| {
@@ -270,6 +314,11 @@ fn merge_one(args: &Args, params: &Params, set: &Set, targets: &Targets, ctx: &C
     let merged = translume_hdr::merge_bracket(&exposures, params, &|what| {
         bar.set_message(what.to_owned());
         bar.inc(1);
+    })
+    .map_err(|e| match e {
+        // No single picture is to blame: the bracket is.
+        translume_hdr::Error::Response(_) => anyhow::Error::new(e).context(set.name.clone()),
+        e => e.into(),
     })?;
     for warning in &merged.warnings {
         ctx.warn(warning);

@@ -1,22 +1,18 @@
 //! One page that shows what was merged and how: inputs, result, motion, ghosts, response, figures.
 
 use super::sets::stem;
+use crate::commands::page::escape;
+use crate::commands::pictures::{motion, shrink};
 use crate::output::Context;
 use anyhow::Context as _;
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::Path;
 use translume_hdr::{Exposure, Merged, NODES};
-use translume_image::{Picture, atomic, tonemap, write_gray_png, write_png8};
+use translume_image::{Picture, atomic, tonemap, write_gray_png};
 
 /// Longer side of the page's pictures.
 const SIDE: usize = 960;
-
-/// A small RGB picture, 8 bits.
-struct Thumb {
-    size: (usize, usize),
-    rgb: Vec<u8>,
-}
 
 /// Writes `index.html` and its pictures into `dir`.
 pub(super) fn write(
@@ -31,14 +27,14 @@ pub(super) fn write(
     let size = (picture.pixels.width() as usize, picture.pixels.height() as usize);
     let step = size.0.max(size.1).div_ceil(SIDE).max(1);
     let reinhard = tonemap::reinhard_global(picture, &tonemap::ReinhardParams::default());
-    save(dir, "reinhard.png", &shrink(size, step, |i| pick(&reinhard.rgb, i)))?;
+    shrink(size, step, |i| pick(&reinhard.rgb, i)).save(&dir.join("reinhard.png"))?;
     let fattal = tonemap::fattal(picture, &tonemap::FattalParams::default());
-    save(dir, "fattal.png", &shrink(size, step, |i| pick(&fattal.rgb, i)))?;
+    shrink(size, step, |i| pick(&fattal.rgb, i)).save(&dir.join("fattal.png"))?;
     let mut rows = String::new();
     for (i, e) in exposures.iter().enumerate() {
         let input = shrink(size, step, |p| std::array::from_fn(|c| encoded(e, 3 * p + c)));
-        save(dir, &format!("input{i}.png"), &input)?;
-        save(dir, &format!("motion{i}.png"), &motion(merged, i, size, step))?;
+        input.save(&dir.join(format!("input{i}.png")))?;
+        motion(&merged.aligned[i].field, size, step).save(&dir.join(format!("motion{i}.png")))?;
         let ghosts = match &merged.confidences[i] {
             None => String::from("<td>–</td>"),
             Some(confidence) => {
@@ -104,50 +100,6 @@ fn pick(rgb: &[f32], i: usize) -> [f32; 3] {
     [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]]
 }
 
-/// Every `step`-th pixel averaged over its `step` × `step` block.
-fn shrink((w, h): (usize, usize), step: usize, at: impl Fn(usize) -> [f32; 3]) -> Thumb {
-    let size = (w.div_ceil(step), h.div_ceil(step));
-    let mut rgb = Vec::with_capacity(3 * size.0 * size.1);
-    for y in 0..size.1 {
-        for x in 0..size.0 {
-            let (mut sum, mut n) = ([0.0f32; 3], 0.0f32);
-            for yy in y * step..((y + 1) * step).min(h) {
-                for xx in x * step..((x + 1) * step).min(w) {
-                    let v = at(yy * w + xx);
-                    (0..3).for_each(|c| sum[c] += v[c]);
-                    n += 1.0;
-                }
-            }
-            rgb.extend(sum.map(|s| (s / n * 255.0 + 0.5).clamp(0.0, 255.0) as u8));
-        }
-    }
-    Thumb { size, rgb }
-}
-
-fn save(dir: &Path, name: &str, thumb: &Thumb) -> anyhow::Result<()> {
-    Ok(write_png8(&dir.join(name), thumb.size, &thumb.rgb)?)
-}
-
-/// Displacement as a colour wheel: hue is direction, brightness length relative to the picture's largest.
-fn motion(merged: &Merged, i: usize, (w, h): (usize, usize), step: usize) -> Thumb {
-    let field = &merged.aligned[i].field;
-    let most = field.statistics(w, h).1.max(1e-6) as f32;
-    let size = (w.div_ceil(step), h.div_ceil(step));
-    let mut rgb = Vec::with_capacity(3 * size.0 * size.1);
-    for y in 0..size.1 {
-        for x in 0..size.0 {
-            let [dx, dy] = field.displacement((x * step) as f32, (y * step) as f32);
-            let (length, hue) = ((dx.hypot(dy) / most).min(1.0), dy.atan2(dx) / std::f32::consts::TAU);
-            // A hue as three cosines a third of a turn apart.
-            rgb.extend([0.0, 1.0 / 3.0, 2.0 / 3.0].map(|shift| {
-                let v = 0.5 + 0.5 * ((hue - shift) * std::f32::consts::TAU).cos();
-                (255.0 * length * v + 0.5) as u8
-            }));
-        }
-    }
-    Thumb { size, rgb }
-}
-
 /// The three response curves as an SVG: code over log2 exposure.
 fn response_plot(response: &translume_hdr::Response) -> String {
     const W: f32 = 560.0;
@@ -174,8 +126,4 @@ fn response_plot(response: &translume_hdr::Response) -> String {
         curve(1, "#393"),
         curve(2, "#33c")
     )
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

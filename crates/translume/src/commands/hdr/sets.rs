@@ -16,7 +16,8 @@ pub(super) struct Set {
 }
 
 /// File endings of pictures, for folders.
-const ENDINGS: &[&str] = &["jpg", "jpeg", "png", "tif", "tiff", "exr", "hdr", "pfm"];
+const ENDINGS: &[&str] =
+    &["jpg", "jpeg", "png", "tif", "tiff", "exr", "hdr", "pfm", "dng", "cr2", "cr3", "nef", "arw", "orf", "rw2", "raf"];
 
 /// A file's name without folder and ending.
 pub(super) fn stem(name: &str) -> String {
@@ -149,6 +150,9 @@ fn exposures(files: &[PathBuf], pictures: &[Codes], args: &Args) -> anyhow::Resu
     }
     if !args.ev.is_empty() {
         counted(args.ev.len(), "--ev")?;
+        if let Some(ev) = args.ev.iter().find(|ev| !(-64.0..=64.0).contains(*ev)) {
+            return Err(Usage(format!("--ev {ev}: give stops between -64 and 64, like -2,0,2")).into());
+        }
         return Ok(args.ev.iter().map(|ev| ev.exp2()).collect());
     }
     if let Some(list) = list(args)? {
