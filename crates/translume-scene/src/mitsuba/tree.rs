@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 /// A whole scene has no more elements than this.
-const MOST_ELEMENTS: usize = 8_000_000;
+const MOST_ELEMENTS: usize = 4_000_000;
 /// Includes and elements do not nest deeper.
 const DEEPEST_INCLUDE: usize = 32;
 const DEEPEST_ELEMENT: usize = 200;
