@@ -141,10 +141,8 @@ impl<'a> Shot<'a> {
                 let (shift, weight) = self.filter.sample(work.sampler.next_2d());
                 let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
                 let ray = self.camera.ray(film, work.sampler.next_2d());
-                if features {
-                    if let Some(f) = integrator::features(self.world, &ray) {
-                        tile.add_features(aovs, i, &f);
-                    }
+                if features && let Some(f) = integrator::features(self.world, &ray) {
+                    tile.add_features(aovs, i, &f);
                 }
                 tile.add(i, self.integrator.radiance(self.world, &ray, &mut work) * weight);
                 rays += work.rays;

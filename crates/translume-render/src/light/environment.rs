@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn samples_follow_the_density_and_carry_the_radiance() {
-        let turn = DAffine3::from_euler(glam::EulerRot::XYZ, 0.3, 1.0, -0.4);
+        let turn = DAffine3::from_quat(glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 1.0, -0.4));
         let e = Environment::new(picture(), Rgb::splat(2.0), &turn).unwrap();
         let sample = |r: &mut translume_core::rng::Pcg32| {
             let s = e.sample(Vec2::new(r.next_f32(), r.next_f32()))?;

@@ -208,13 +208,13 @@ impl Lights {
         let start = match &self.lights[light] {
             Light::Shape(s) => s.start(scene, u, v),
             Light::Point(s) => s.start(scene, u),
-            Light::Directional { direction, irradiance } => self.from_far(*direction, *irradiance, 1.0, v),
+            Light::Directional { direction, irradiance } => self.start_from_far(*direction, *irradiance, 1.0, v),
             Light::Environment(e) => {
                 let s = e.sample(u)?;
-                self.from_far(-s.wi, s.radiance, s.pdf_w, v)
+                self.start_from_far(-s.wi, s.radiance, s.pdf_w, v)
             }
             Light::Constant { radiance } => {
-                self.from_far(warp::uniform_sphere(u.x, u.y), *radiance, warp::UNIFORM_SPHERE_PDF, v)
+                self.start_from_far(warp::uniform_sphere(u.x, u.y), *radiance, warp::UNIFORM_SPHERE_PDF, v)
             }
         }?;
         Some(LightStart { choice, light, ..start })
@@ -226,7 +226,7 @@ impl Lights {
     }
 
     /// A ray along `direction` through the scene's bounding sphere.
-    fn from_far(&self, direction: Vec3, radiance: Rgb, pdf_w: f32, v: Vec2) -> Option<LightStart> {
+    fn start_from_far(&self, direction: Vec3, radiance: Rgb, pdf_w: f32, v: Vec2) -> Option<LightStart> {
         let disk = warp::uniform_disk(v.x, v.y) * self.radius;
         let frame = Frame::from_normal(direction);
         Some(LightStart {

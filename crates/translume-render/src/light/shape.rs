@@ -81,13 +81,13 @@ impl ShapeLight {
     /// Draws a direction from `p` to the light.
     #[inline]
     pub(crate) fn sample(&self, scene: &Scene, p: Vec3, u: Vec2) -> Option<LightSample> {
-        if let Form::Sphere { center, radius, object_from_world } = &self.form {
-            if let Some((wi, pdf_w, q)) = sample_cone(p, *center, *radius, u) {
-                let point = SurfacePoint { p: q, ng: (q - *center) / *radius, error: rounding(q, *radius) };
-                let place = Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
-                let radiance = texture::eval(scene, self.radiance, &place);
-                return Some(LightSample { wi, radiance, pdf_w, delta: false, end: End::Surface(point) });
-            }
+        if let Form::Sphere { center, radius, object_from_world } = &self.form
+            && let Some((wi, pdf_w, q)) = sample_cone(p, *center, *radius, u)
+        {
+            let point = SurfacePoint { p: q, ng: (q - *center) / *radius, error: rounding(q, *radius) };
+            let place = Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
+            let radiance = texture::eval(scene, self.radiance, &place);
+            return Some(LightSample { wi, radiance, pdf_w, delta: false, end: End::Surface(point) });
         }
         let Place3 { point, pdf_a, place } = self.place(u);
         let way = point.p - p;
@@ -104,10 +104,10 @@ impl ShapeLight {
     /// Density of [`ShapeLight::sample`] from `p` for the direction to the point `q` with unit normal `nq`.
     #[inline]
     pub(crate) fn pdf_w(&self, p: Vec3, q: Vec3, nq: Vec3) -> f32 {
-        if let Form::Sphere { center, radius, .. } = &self.form {
-            if let Some(cos_max) = cone(p, *center, *radius) {
-                return warp::uniform_cone_pdf(cos_max);
-            }
+        if let Form::Sphere { center, radius, .. } = &self.form
+            && let Some(cos_max) = cone(p, *center, *radius)
+        {
+            return warp::uniform_cone_pdf(cos_max);
         }
         let way = q - p;
         let cos = nq.dot(way).abs() / way.length();
