@@ -75,6 +75,7 @@ fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
         surfaces,
         bases,
         moved,
+        reach: center.length() + radius,
         center,
         radius,
     })

@@ -32,6 +32,8 @@ pub struct World {
     has_null: bool,
     center: Vec3,
     radius: f32,
+    /// Distance of the farthest point from the origin, for what is relative to coordinates.
+    reach: f32,
 }
 
 /// What is known of a surface beside its place.
