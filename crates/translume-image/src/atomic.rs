@@ -31,7 +31,7 @@ pub fn write<E: From<Error>>(
     Ok(())
 }
 
-/// [`write`] for bytes that are already there.
+/// [`write()`] for bytes that are already there.
 ///
 /// # Errors
 /// [`Error::Io`].

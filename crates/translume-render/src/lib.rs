@@ -1,7 +1,7 @@
 //! From a scene to a picture: compiled scenes, lights, cameras, film, integrators.
 //!
 //! [`World`] is a [`translume_scene::Scene`] made ready for light transport. It answers what any integrator asks: what a
-//! ray meets ([`World::intersect`]), what the surface there does ([`World::bsdf`]), how lights are chosen and sampled
+//! ray meets ([`World::intersect`]), what the surface there does ([`world::SurfaceHit`]), how lights are chosen and sampled
 //! ([`light::Lights`]), what lies between two points ([`World::transmittance`]). [`camera::Camera`] starts rays and knows
 //! its importance; [`film::Film`] adds samples up; [`integrator`] has one file per method and one table of their names;
 //! [`render`] drives them in tiles and passes.

@@ -1,7 +1,7 @@
 //! Lights: what they emit, how one is chosen, how points on them and directions to them are drawn.
 //!
 //! Every emitting triangle is a light of its own. [`Lights::sample`] is emitter sampling as integrators want it: choice
-//! (infinite lights by equal chances, all others by a [`tree`]) and place in one step, with the density of both together.
+//! (infinite lights by equal chances, all others by a light tree) and place in one step, with the density of both together.
 //! [`Lights::start`] begins light paths, with the densities of position and direction apart.
 
 mod environment;
