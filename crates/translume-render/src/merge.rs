@@ -5,6 +5,9 @@ use crate::{Error, Result};
 /// The channels of a render: names, and as many values each as there are pixels.
 pub type Channels = Vec<(String, Vec<f32>)>;
 
+/// Stands for no samples at all in a divisor: its square is still a positive number.
+const NO_SAMPLES: f64 = 1e-100;
+
 /// The channel that holds the number of samples of each pixel.
 pub const WEIGHT: &str = "samples";
 
@@ -32,9 +35,8 @@ pub fn merge(renders: &[(String, Channels)]) -> Result<Channels> {
         }
         weights.push(weight);
     }
-    let total: Vec<f64> = (0..weights[0].len())
-        .map(|i| weights.iter().map(|w| f64::from(w[i])).sum::<f64>().max(f64::MIN_POSITIVE))
-        .collect();
+    let total: Vec<f64> =
+        (0..weights[0].len()).map(|i| weights.iter().map(|w| f64::from(w[i])).sum::<f64>().max(NO_SAMPLES)).collect();
     let merged = first.iter().enumerate().map(|(c, (name, values))| {
         let power = if name.starts_with("Variance.") { 2 } else { 1 };
         let at = |i: usize| {
