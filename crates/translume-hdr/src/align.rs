@@ -54,10 +54,7 @@ pub(crate) fn align(
     if how == Alignment::Off {
         return out;
     }
-    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
-    let longer: Vec<usize> = order[at + 1..].to_vec();
-    let shorter: Vec<usize> = order[..at].iter().rev().copied().collect();
-    for chain in [longer, shorter] {
+    for chain in chains(order, anchor) {
         let mut previous = anchor;
         for i in chain {
             progress(shots[i].name);
@@ -67,6 +64,12 @@ pub(crate) fn align(
         }
     }
     out
+}
+
+/// The pictures longer than the anchor and those shorter, each outwards from it.
+pub(crate) fn chains(order: &[usize], anchor: usize) -> [Vec<usize>; 2] {
+    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
+    [order[at + 1..].to_vec(), order[..at].iter().rev().copied().collect()]
 }
 
 /// Natural log of the range of exposures that two pictures must share to be matched directly (three stops).

@@ -10,7 +10,7 @@
 //! Beyond the thesis: confidences are soft, and the anchor's interval is widened by half its 3 × 3 neighbourhood, which
 //! is what a misregistration of half a pixel explains.
 
-use crate::align::Aligned;
+use crate::align::{self, Aligned};
 use crate::decode::{Decoder, Kind};
 use crate::exposure::Shot;
 use crate::sampling::Point;
@@ -115,10 +115,7 @@ pub(crate) fn confidences(
     params: &GhostParams,
 ) -> Vec<Option<Vec<u8>>> {
     let mut out: Vec<Option<Vec<u8>>> = vec![None; shots.len()];
-    let at = order.iter().position(|i| *i == anchor).unwrap_or(0);
-    let longer: Vec<usize> = order[at + 1..].to_vec();
-    let shorter: Vec<usize> = order[..at].iter().rev().copied().collect();
-    for chain in [longer, shorter] {
+    for chain in align::chains(order, anchor) {
         let mut towards: Option<usize> = None;
         for i in chain {
             let expect = |from: usize| Expectation::new((from, &shots[from]), (i, &shots[i]), points);

@@ -2,7 +2,7 @@
 
 use crate::colour::{self, Matrix, Space};
 use crate::raster::Transfer;
-use crate::{Codes, Error, Metadata, Result, Samples};
+use crate::{Codes, Error, Metadata, Result, Samples, primaries};
 use moxcms::{ColorProfile, DataColorSpace, Layout, TransformOptions};
 use rayon::prelude::*;
 use std::path::Path;
@@ -97,10 +97,7 @@ fn through_profile(samples: Samples, profile: &[u8], path: &Path) -> Result<Vec<
                 }
                 integers => through_curves(integers, [&r, &g, &b]),
             };
-            let colorants = profile.colorant_matrix().v;
-            let from_pcs = colour::adaptation(colour::D50_XYZ, colour::xy_to_xyz(colour::D65));
-            let to_rgb = colour::product(&Space::REC709.xyz_to_rgb(), &colour::product(&from_pcs, &colorants));
-            multiply(&mut rgb, &to_rgb);
+            multiply(&mut rgb, &primaries::matrix_of(&profile));
             Ok(rgb)
         }
         DataColorSpace::Rgb => through_tables(samples, &profile).map_err(unusable),

@@ -16,19 +16,18 @@ pub fn to_rec709(metadata: &Metadata) -> Option<Matrix> {
     if profile.color_space != DataColorSpace::Rgb {
         return None;
     }
-    let [r, g, b] = [profile.red_colorant, profile.green_colorant, profile.blue_colorant].map(|c| [c.x, c.y, c.z]);
-    let xyz_d50: Matrix = std::array::from_fn(|i| [r[i], g[i], b[i]]);
     // A matrix profile's white is D50: its rows sum to it. Anything else is no matrix profile.
-    let white: Vec<f64> = xyz_d50.iter().map(|row| row.iter().sum()).collect();
+    let white: Vec<f64> = profile.colorant_matrix().v.iter().map(|row| row.iter().sum()).collect();
     if white.iter().zip(colour::D50_XYZ).any(|(a, b)| (a - b).abs() > 0.01) {
         return None;
     }
-    let adapted = colour::adaptation(colour::D50_XYZ, colour::xy_to_xyz(colour::D65));
-    differs_from_identity(product(&Space::REC709.xyz_to_rgb(), &product(&adapted, &xyz_d50)))
+    differs_from_identity(matrix_of(&profile))
 }
 
-fn product(a: &Matrix, b: &Matrix) -> Matrix {
-    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+/// Linear Rec. 709 from the linearised RGB of a matrix profile, by its colorants.
+pub(crate) fn matrix_of(profile: &ColorProfile) -> Matrix {
+    let from_pcs = colour::adaptation(colour::D50_XYZ, colour::xy_to_xyz(colour::D65));
+    colour::product(&Space::REC709.xyz_to_rgb(), &colour::product(&from_pcs, &profile.colorant_matrix().v))
 }
 
 fn differs_from_identity(m: Matrix) -> Option<Matrix> {
