@@ -100,6 +100,14 @@ pub fn decode_codes(file: &[u8], name: &Path) -> Result<Codes> {
     Ok(decode(file, name)?.into_codes().0)
 }
 
+/// [`decode_picture`] with colours as the file stores them where it has alpha: not multiplied by it. Textures are meant so.
+///
+/// # Errors
+/// As [`read_codes`].
+pub fn decode_straight(file: &[u8], name: &Path) -> Result<Picture> {
+    picture(Raster { associated: true, ..decode(file, name)? }, name)
+}
+
 /// [`read_picture`] of a file in memory; `name` stands in messages.
 ///
 /// # Errors

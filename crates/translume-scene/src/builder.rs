@@ -172,7 +172,7 @@ impl Builder {
         if let Some(image) = self.images.get(&key) {
             return Ok(image.clone());
         }
-        let mut picture = translume_image::decode_picture(bytes, name)?;
+        let mut picture = translume_image::decode_straight(bytes, name)?;
         if raw {
             let codes = translume_image::decode_codes(bytes, name)?;
             picture.pixels = unit_codes(&codes.samples, codes.width, codes.height)

@@ -13,6 +13,17 @@ pub(crate) fn is_invertible(m: &DAffine3) -> bool {
     m.is_finite() && determinant != 0.0 && determinant.is_finite() && m.inverse().is_finite()
 }
 
+/// Pictures have no more pixels than this.
+const MOST_PIXELS: u64 = 1 << 28;
+
+/// Refuses films that no machine would want.
+pub(crate) fn film_size([width, height]: [u32; 2]) -> Result<(), String> {
+    match u64::from(width) * u64::from(height) {
+        n if n > MOST_PIXELS => Err(format!("a film of {width} × {height} pixels; at most {MOST_PIXELS} are rendered")),
+        _ => Ok(()),
+    }
+}
+
 /// Lights without area shine no more; groups with lights become plain shapes; a scene without camera or light is told.
 pub(crate) fn repair(scene: &mut Scene, path: &Path) {
     unfold_shining_groups(scene);

@@ -288,6 +288,30 @@ fn bitmaps_are_linear_unless_raw_and_shared() {
     assert!((value(2) - 188.0 / 255.0).abs() < 1e-6, "{}", value(2));
 }
 
+/// Colour under transparent parts of a picture counts: opacity is often a channel of its own.
+#[test]
+fn textures_are_not_multiplied_by_alpha() {
+    let folder = Folder::new();
+    let png = folder.path("leaf.png");
+    image::RgbaImage::from_pixel(2, 2, image::Rgba([255, 255, 255, 0])).save(&png).unwrap();
+    let scene = mitsuba(&format!(
+        "<shape type=\"sphere\"><bsdf type=\"diffuse\"><texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"{}\"/></texture></bsdf></shape>",
+        png.display()
+    ));
+    let Some(Texture::Bitmap(bitmap)) = scene.textures.iter().find(|t| matches!(t, Texture::Bitmap(_))) else {
+        panic!("no bitmap in {:?}", scene.textures)
+    };
+    assert_eq!(bitmap.image.pixels.get_pixel(0, 0).0[..3], [1.0, 1.0, 1.0]);
+}
+
+#[test]
+fn cameras_may_share_a_film() {
+    let camera = "<sensor type=\"perspective\"><ref id=\"f\"/></sensor>";
+    let film = "<film type=\"hdrfilm\" id=\"f\"><rfilter type=\"tent\"/></film>";
+    let scene = mitsuba(&format!("{film}{camera}{camera}"));
+    assert!(scene.sensors.iter().all(|s| s.film.filter == PixelFilter::Tent { radius: 1.0 }), "{:?}", scene.sensors);
+}
+
 #[test]
 fn instances_stay_instances() {
     let folder = Folder::new();
@@ -424,6 +448,11 @@ fn what_cannot_be_is_refused_with_its_line() {
             "<sensor type=\"perspective\"><film type=\"hdrfilm\"><integer name=\"width\" value=\"2000000000\"/></film></sensor>",
             "between 1 and 65536",
         ),
+        (
+            "<sensor type=\"perspective\"><film type=\"hdrfilm\"><integer name=\"width\" value=\"65536\"/><integer name=\"height\" value=\"65536\"/></film></sensor>",
+            "a film of 65536 × 65536 pixels",
+        ),
+        ("<shape type=\"sphere\"><float name=\"radius\" value=\"1e39\"/></shape>", "1e39 is too large"),
         ("<sensor type=\"perspective\"><float name=\"fov\" value=\"180\"/></sensor>", "field of view"),
         ("<emitter type=\"sky\"/>", "emitter \"sky\" is not supported"),
         ("<shape type=\"sphere\"><float name=\"radius\" value=\"$r\"/></shape>", "parameter $r has no value"),

@@ -145,6 +145,7 @@ fn pbrt_that_cannot_be() {
         ("WorldBegin", "Include \"scene.pbrt\" WorldBegin", "includes itself"),
         ("LookAt 0 0 5  0 0 0", "LookAt 0 0 5  0 0 5", "degenerate"),
         ("WorldBegin", "Wobble", "not a directive"),
+        ("\"float fov\" 40", "\"float fov\" 1e39", "1e39 is no finite number"),
     ] {
         assert!(PBRT.contains(from), "{from}");
         let error = Folder::new().load("scene.pbrt", &PBRT.replace(from, to)).unwrap_err().to_string();

@@ -96,6 +96,7 @@ impl Loader {
             u32::try_from(n).ok().filter(|n| (1..=MOST_PIXELS).contains(n)).ok_or_else(wrong)
         };
         let (width, height) = (size("width", 768)?, size("height", 576)?);
+        crate::check::film_size([width, height]).map_err(|what| object.place.unsupported(what))?;
         let crop = match (object.property("crop_width"), object.property("crop_height")) {
             (None, None) => None,
             _ => {

@@ -225,6 +225,8 @@ impl Loader {
             let refused = Err(child.place.unsupported(what));
             self.skippable(refused, || ())?;
         }
+        // Something else may refer to the same object and make it again (a film of two cameras).
+        object.children.iter().for_each(|c| c.used.set(false));
         Ok(())
     }
 

@@ -205,10 +205,11 @@ fn value(element: &Element, context: &mut Context) -> Result<Value> {
 pub(crate) fn number(text: &str, place: &Place) -> Result<f64> {
     let text = text.trim();
     match text.parse::<f64>() {
-        Ok(v) if v.is_finite() => Ok(v),
+        Ok(v) if v.abs() <= f64::from(f32::MAX) => Ok(v),
         // Mitsuba accepts infinities where they mean "no limit".
-        Ok(v) if v.is_infinite() => Ok(f64::MAX.copysign(v)),
-        Ok(_) => Err(place.invalid("NaN is no value")),
+        Ok(v) if v.is_infinite() && text.contains(['i', 'I']) => Ok(f64::from(f32::MAX).copysign(v)),
+        Ok(v) if v.is_nan() => Err(place.invalid("NaN is no value")),
+        Ok(_) => Err(place.invalid(format!("{text} is too large"))),
         Err(_) => Err(place.invalid(format!("{text:?} is not a number"))),
     }
 }

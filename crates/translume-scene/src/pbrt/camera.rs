@@ -125,6 +125,7 @@ impl Loader {
             u32::try_from(n).ok().filter(|n| (1..=65_536).contains(n)).ok_or_else(wrong)
         };
         let [width, height] = [size("xresolution", 1280)?, size("yresolution", 720)?];
+        crate::check::film_size([width, height]).map_err(|what| p.place.unsupported(what))?;
         let crop = match p.numbers("cropwindow")? {
             None => None,
             Some(&[x0, x1, y0, y1]) if 0.0 <= x0 && x0 < x1 && x1 <= 1.0 && 0.0 <= y0 && y0 < y1 && y1 <= 1.0 => {

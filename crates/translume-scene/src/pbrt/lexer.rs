@@ -121,7 +121,7 @@ impl Lexer {
                 let word = String::from_utf8_lossy(&rest[..length]).into_owned();
                 match word.parse::<f64>() {
                     // Words such as "inf" and "nan" are numbers for Rust.
-                    Ok(v) if v.is_finite() => (Token::Number(v), length),
+                    Ok(v) if v.abs() <= f64::from(f32::MAX) => (Token::Number(v), length),
                     Ok(_) => return Err(self.place.invalid(format!("{word} is no finite number"))),
                     Err(_) => (Token::Word(word), length),
                 }
