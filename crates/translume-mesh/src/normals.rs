@@ -1,4 +1,5 @@
-//! Vertex normals from faces, weighted by area, with or without a crease angle.
+//! Vertex normals from faces, weighted by the angle at the vertex (Thürmer and Wüthrich 1998: how a surface is cut into
+//! triangles does not matter), with or without a crease angle.
 
 use crate::mesh::TriMesh;
 use glam::{DVec3, Vec3};
@@ -8,13 +9,13 @@ use std::collections::HashMap;
 const MOST_COMPARED: usize = 512;
 
 impl TriMesh {
-    /// Sets each vertex normal to the area-weighted mean of the faces that use the vertex. Vertices without such a face
+    /// Sets each vertex normal to the mean of the faces that use the vertex, weighted by their angles there. Vertices without such a face
     /// get +z.
     pub fn compute_normals(&mut self) {
         let mut sums = vec![DVec3::ZERO; self.positions.len()];
         for face in 0..self.indices.len() {
-            let normal = self.double_area(face);
-            self.indices[face].iter().for_each(|&i| sums[i as usize] += normal);
+            let normals = self.corner_normals(face);
+            self.indices[face].iter().zip(normals).for_each(|(&i, normal)| sums[i as usize] += normal);
         }
         self.normals = Some(sums.into_iter().map(unit).collect());
     }
@@ -24,8 +25,8 @@ impl TriMesh {
     pub fn crease_normals(&mut self, max_angle_rad: f32) {
         let (weld, positions) = self.weld();
         let cosine = f64::from(max_angle_rad).cos();
-        let areas: Vec<DVec3> = (0..self.indices.len()).map(|f| self.double_area(f)).collect();
-        let units: Vec<DVec3> = areas.iter().map(|n| n.normalize_or_zero()).collect();
+        let corners: Vec<DVec3> = (0..self.indices.len()).flat_map(|f| self.corner_normals(f)).collect();
+        let units: Vec<DVec3> = corners.chunks(3).map(|of| of.iter().sum::<DVec3>().normalize_or_zero()).collect();
         let around = Around::new(&self.indices, &weld, positions);
         let mut vertices: Vec<u32> = Vec::new();
         let mut normals: Vec<[f32; 3]> = Vec::new();
@@ -33,14 +34,12 @@ impl TriMesh {
         let mut indices = self.indices.clone();
         for (face, triangle) in indices.iter_mut().enumerate() {
             for i in triangle {
-                let faces = around.faces(weld[*i as usize]);
-                let near = |f: &&u32| {
+                let here = around.corners(weld[*i as usize]);
+                let near = |c: &&usize| {
                     // A face without area has no say and no angle.
-                    faces.len() > MOST_COMPARED
-                        || **f as usize == face
-                        || units[face].dot(units[**f as usize]) >= cosine
+                    here.len() > MOST_COMPARED || **c / 3 == face || units[face].dot(units[**c / 3]) >= cosine
                 };
-                let normal = unit(faces.iter().filter(near).map(|&f| areas[f as usize]).sum());
+                let normal = unit(here.iter().filter(near).map(|&c| corners[c]).sum());
                 *i = *numbers.entry((*i, normal.map(f32::to_bits))).or_insert_with(|| {
                     vertices.push(*i);
                     normals.push(normal);
@@ -55,11 +54,15 @@ impl TriMesh {
         self.indices = indices;
     }
 
-    /// Face normal whose length is twice the area; zero when a corner is not finite.
-    fn double_area(&self, face: usize) -> DVec3 {
-        let [a, b, c] = self.corners(face).map(Vec3::as_dvec3);
-        let normal = (b - a).cross(c - a);
-        if normal.is_finite() { normal } else { DVec3::ZERO }
+    /// The face's normal at each corner, as long as the angle there in radians; zero for a face without area or with a
+    /// corner that is not finite.
+    fn corner_normals(&self, face: usize) -> [DVec3; 3] {
+        let p = self.corners(face).map(Vec3::as_dvec3);
+        let normal = (p[1] - p[0]).cross(p[2] - p[0]).try_normalize().unwrap_or(DVec3::ZERO);
+        std::array::from_fn(|k| {
+            let (a, b) = (p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]);
+            if normal == DVec3::ZERO { normal } else { normal * a.angle_between(b) }
+        })
     }
 }
 
@@ -71,10 +74,10 @@ fn unit(sum: DVec3) -> [f32; 3] {
     sum.try_normalize().unwrap_or(DVec3::Z).as_vec3().into()
 }
 
-/// Faces around each welded position, as one array with offsets.
+/// Corners (three times the face, and which of its vertices) around each welded position, as one array with offsets.
 struct Around {
     begins: Vec<usize>,
-    faces: Vec<u32>,
+    corners: Vec<usize>,
 }
 
 impl Around {
@@ -83,19 +86,19 @@ impl Around {
         indices.iter().flatten().for_each(|&i| begins[weld[i as usize] as usize + 1] += 1);
         (0..positions).for_each(|p| begins[p + 1] += begins[p]);
         let mut next = begins.clone();
-        let mut faces = vec![0; begins[positions]];
+        let mut corners = vec![0; begins[positions]];
         for (face, triangle) in indices.iter().enumerate() {
-            for &i in triangle {
+            for (k, &i) in triangle.iter().enumerate() {
                 let slot = &mut next[weld[i as usize] as usize];
-                faces[*slot] = face as u32;
+                corners[*slot] = 3 * face + k;
                 *slot += 1;
             }
         }
-        Self { begins, faces }
+        Self { begins, corners }
     }
 
-    fn faces(&self, position: u32) -> &[u32] {
-        &self.faces[self.begins[position as usize]..self.begins[position as usize + 1]]
+    fn corners(&self, position: u32) -> &[usize] {
+        &self.corners[self.begins[position as usize]..self.begins[position as usize + 1]]
     }
 }
 
@@ -121,14 +124,14 @@ mod tests {
     }
 
     #[test]
-    fn normals_are_means_weighted_by_area() {
+    fn diagonals_do_not_matter() {
         let mut mesh = roof(0.6);
         mesh.compute_normals();
         let ridge = Vec3::from(mesh.normals.as_ref().unwrap()[1]);
-        // One half triangle on the left, two on the right.
+        // One half of the left square's angle, the whole of the right one's in two triangles.
         let (s, c) = 0.6_f32.sin_cos();
-        let expected = (Vec3::Z + 2.0 * Vec3::new(s, 0.0, c)).normalize();
-        assert!(ridge.distance(expected) < 1e-6);
+        let right = Vec3::new(s, 0.0, c);
+        assert!(ridge.distance((Vec3::Z + right).normalize()) < 1e-6, "{ridge}");
     }
 
     #[test]

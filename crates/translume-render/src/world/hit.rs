@@ -15,9 +15,9 @@ use translume_trace::{Hit, Ray, SurfacePoint};
 
 /// Surfaces nearer to each other than this, relative to their coordinates (or 1), do not see each other. Models have sheets
 /// that nearly coincide (decals, walls from two sides, quads cut along either diagonal) and mean one; rays that start
-/// outside the rounding alone would find the darkness between them. The figure is Mitsuba's, with which pictures are
-/// compared. Scenes smaller than 1 have a smaller one, by their size.
-const GAP: f32 = 9e-5;
+/// outside the rounding alone would find the darkness between them. `docs/decisions/0002-gap-between-sheets.md` has
+/// the measurements. Scenes smaller than 1 have a smaller one, by their size.
+const GAP: f32 = 1e-5;
 
 /// Where a ray met a surface.
 #[derive(Clone, Copy, Debug)]
