@@ -66,6 +66,12 @@ impl Scene {
         &self.instances
     }
 
+    /// To an instance's own space.
+    #[inline]
+    pub fn object_from_world(&self, instance: u32) -> &DAffine3 {
+        &self.object_from_world[instance as usize]
+    }
+
     /// Box of what can be hit.
     pub fn bounds(&self) -> Bounds {
         self.bvh.bounds

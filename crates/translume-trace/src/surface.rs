@@ -21,15 +21,13 @@ pub struct SurfacePoint {
 
 impl SurfacePoint {
     /// An origin on the side of the surface to which `d` points, outside the error bound.
+    #[inline]
     pub fn origin_towards(&self, d: Vec3) -> Vec3 {
         let distance = self.ng.abs().dot(self.error);
         let offset = self.ng * if d.dot(self.ng) < 0.0 { -distance } else { distance };
-        let away = |p: f32, offset: f32| match p + offset {
-            q if offset > 0.0 => q.next_up(),
-            q if offset < 0.0 => q.next_down(),
-            q => q,
-        };
-        Vec3::new(away(self.p.x, offset.x), away(self.p.y, offset.y), away(self.p.z, offset.z))
+        // One rounding more than the sum may have lost.
+        let q = self.p + offset;
+        q + Vec3::select(offset.cmpeq(Vec3::ZERO), Vec3::ZERO, (q.abs() * f32::EPSILON).copysign(offset))
     }
 
     /// The ray from here along `d`.
@@ -55,37 +53,45 @@ impl SurfacePoint {
 impl Geometry {
     /// The point of `hit`, which `ray` found in this geometry.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> SurfacePoint {
-        self.surface_in_world(ray, hit, &DAffine3::IDENTITY)
+        self.surface_in_world(ray, hit, &DAffine3::IDENTITY, &DAffine3::IDENTITY)
     }
 
-    /// `ray` is in the object's space.
-    fn surface_in_world(&self, ray: &Ray, hit: &Hit, world_from_object: &DAffine3) -> SurfacePoint {
+    /// `ray` is in the object's space; the transforms are each other's inverse.
+    fn surface_in_world(
+        &self,
+        ray: &Ray,
+        hit: &Hit,
+        world_from_object: &DAffine3,
+        object_from_world: &DAffine3,
+    ) -> SurfacePoint {
         let shape = &self.shapes()[hit.part as usize];
+        let in_place = *world_from_object == DAffine3::IDENTITY;
         // Position, normal (of any length) and how far the parts that enter the hit's rounding are away, in the world.
         let (p, normal, reach) = match (shape, shape.quadric()) {
             (Shape::Mesh(mesh), _) => {
                 let corners = mesh.corners(hit.prim as usize);
-                let [a, b, c] = corners.map(|v| world_from_object.transform_point3(v.as_dvec3()));
+                let to_world = |v: DVec3| if in_place { v } else { world_from_object.transform_point3(v) };
+                let [a, b, c] = corners.map(|v| to_world(v.as_dvec3()));
                 let (u, v) = (f64::from(hit.u), f64::from(hit.v));
                 let p = a * (1.0 - u - v) + b * u + c * v;
                 let reach = (a - p).abs().max((b - p).abs()).max((c - p).abs());
-                let mirrored = world_from_object.matrix3.determinant() < 0.0;
+                let mirrored = !in_place && world_from_object.matrix3.determinant() < 0.0;
                 let normal = (b - a).cross(c - a);
                 (p, if mirrored { -normal } else { normal }, reach)
             }
             (_, Some(quadric)) => {
                 let (p, normal) = quadric.project(ray.o.as_dvec3() + f64::from(hit.t) * ray.d.as_dvec3());
-                let to_world = world_from_object.matrix3.inverse().transpose();
-                (world_from_object.transform_point3(p), to_world * normal, DVec3::ZERO)
+                let normal = object_from_world.matrix3.transpose() * normal;
+                (world_from_object.transform_point3(p), normal, DVec3::ZERO)
             }
             (_, None) => (DVec3::ZERO, DVec3::Z, DVec3::ZERO), // every other shape is a quadric
         };
         // An instance's rays are rounded in object space: carry that over as well.
-        let rounding = if *world_from_object == DAffine3::IDENTITY {
+        let rounding = if in_place {
             p.abs()
         } else {
             let m = &world_from_object.matrix3;
-            let object = world_from_object.inverse().transform_point3(p).abs();
+            let object = object_from_world.transform_point3(p).abs();
             p.abs() + m.x_axis.abs() * object.x + m.y_axis.abs() * object.y + m.z_axis.abs() * object.z
         };
         let half_ulp = f64::from(f32::EPSILON) / 2.0;
@@ -101,12 +107,15 @@ impl Scene {
     /// The point of `hit`, which `ray` found in this scene.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> SurfacePoint {
         let instance = &self.instances()[hit.instance as usize];
-        let object_from_world = instance.world_from_object.inverse();
-        let object_ray = Ray {
-            o: object_from_world.transform_point3(ray.o.as_dvec3()).as_vec3(),
-            d: object_from_world.transform_vector3(ray.d.as_dvec3()).as_vec3(),
-            ..*ray
+        let object_from_world = self.object_from_world(hit.instance);
+        let object_ray = match *object_from_world == DAffine3::IDENTITY {
+            true => *ray,
+            false => Ray {
+                o: object_from_world.transform_point3(ray.o.as_dvec3()).as_vec3(),
+                d: object_from_world.transform_vector3(ray.d.as_dvec3()).as_vec3(),
+                ..*ray
+            },
         };
-        instance.geometry.surface_in_world(&object_ray, hit, &instance.world_from_object)
+        instance.geometry.surface_in_world(&object_ray, hit, &instance.world_from_object, object_from_world)
     }
 }

@@ -1,10 +1,11 @@
 //! Lights: what they emit, how one is chosen, how points on them and directions to them are drawn.
 //!
-//! Every emitting triangle is a light of its own. [`Lights::sample`] is emitter sampling as integrators want it: choice
+//! Every emitting triangle is a light of its own, but for meshes that stand in many places: see `mesh`. [`Lights::sample`] is emitter sampling as integrators want it: choice
 //! (infinite lights by equal chances, all others by a light tree) and place in one step, with the density of both together.
 //! [`Lights::start`] begins light paths, with the densities of position and direction apart.
 
 mod environment;
+mod mesh;
 mod point;
 mod shape;
 mod tree;
@@ -13,6 +14,7 @@ use crate::world::Surface;
 use crate::{Rgb, luminance};
 use environment::Environment;
 use glam::{Vec2, Vec3};
+pub(crate) use mesh::{Faces, MeshLight, bright_normal};
 use point::PointLight;
 pub(crate) use shape::{Form as ShapeForm, Quadric, ShapeLight, mesh_place, uv_of_sphere};
 use std::f32::consts::{PI, TAU};
@@ -279,5 +281,5 @@ fn compile(scene: &Scene, emitter: &Emitter) -> Light {
 /// The number of the light that a hit surface's primitive is.
 #[inline]
 pub(crate) fn light_of(surface: &Surface, prim: u32) -> Option<usize> {
-    surface.first_light.map(|first| (first + prim) as usize)
+    surface.first_light.map(|first| (first + if surface.one_light { 0 } else { prim }) as usize)
 }

@@ -3,6 +3,7 @@
 //! They shine on one side, that of the normal.
 
 use crate::Rgb;
+use crate::light::mesh::MeshLight;
 use crate::light::tree::LightBounds;
 use crate::light::{End, LightSample, LightStart};
 use crate::texture::{self, Place};
@@ -32,6 +33,8 @@ pub(crate) enum Form {
     Sphere { center: Vec3, radius: f32, object_from_world: Box<DAffine3> },
     /// Any other quadric in its place.
     Quadric(Box<Quadric>),
+    /// One of the places of a mesh.
+    Mesh(Box<MeshLight>),
 }
 
 /// A quadric under an affine map, sampled uniformly in its own space.
@@ -43,10 +46,10 @@ pub(crate) struct Quadric {
 }
 
 /// A point of a light.
-struct Place3 {
-    point: SurfacePoint,
-    pdf_a: f32,
-    place: Place,
+pub(crate) struct Place3 {
+    pub(super) point: SurfacePoint,
+    pub(super) pdf_a: f32,
+    pub(super) place: Place,
 }
 
 impl ShapeLight {
@@ -73,6 +76,7 @@ impl ShapeLight {
                     _ => (b, Vec3::Z, PI),
                 }
             }
+            Form::Mesh(m) => (m.bounds(), Vec3::Z, PI),
         };
         let finite = bounds.lo.is_finite() && bounds.hi.is_finite() && axis.is_finite();
         finite.then_some(LightBounds { bounds, power: self.power, axis, theta_o, theta_e: FRAC_PI_2 })
@@ -123,6 +127,7 @@ impl ShapeLight {
                 let object = quadric.world_from_object.inverse().transform_point3(q.as_dvec3());
                 quadric.pdf_a(quadric.object_normal(object))
             }
+            Form::Mesh(m) => 1.0 / m.area(),
         }
     }
 
@@ -151,6 +156,7 @@ impl ShapeLight {
                 let point = SurfacePoint { p: q, ng, error: rounding(q, 4.0 * q.abs().max_element()) };
                 Place3 { point, pdf_a: quadric.pdf_a(normal), place: Place { uv, color: Rgb::ONE } }
             }
+            Form::Mesh(m) => m.place(u),
         }
     }
 
@@ -260,7 +266,7 @@ fn sphere_uv(object_from_world: &DAffine3, q: Vec3) -> Vec2 {
 }
 
 /// Bound of the rounding of a point that was computed from numbers of size `reach`.
-fn rounding(q: Vec3, reach: f32) -> Vec3 {
+pub(super) fn rounding(q: Vec3, reach: f32) -> Vec3 {
     (2.0 * q.abs() + Vec3::splat(4.0 * reach)) * f32::EPSILON
 }
 

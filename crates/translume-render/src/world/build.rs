@@ -4,7 +4,7 @@
 //! quadrics under transforms that are no similarities get geometries of their own.
 
 use super::{Form, Surface, World};
-use crate::light::{Lights, Quadric, ShapeForm, ShapeLight};
+use crate::light::{Faces, Lights, MeshLight, Quadric, ShapeForm, ShapeLight, bright_normal};
 use crate::material::{mean_luminance, passes, prepare};
 use crate::medium::Tracked;
 use crate::texture;
@@ -29,6 +29,8 @@ struct Parts {
     lights: Vec<ShapeLight>,
     /// Geometries of meshes that stand more than once.
     shared: HashMap<*const TriMesh, Arc<trace::Geometry>>,
+    /// Areas of those among them that shine.
+    faces: HashMap<*const TriMesh, Option<Arc<Faces>>>,
 }
 
 pub(super) fn world(scene: Arc<Scene>) -> Result<World> {
@@ -99,7 +101,11 @@ impl Parts {
     fn add_placed(&mut self, scene: &Scene, shape: &Shape, world_from_group: &DAffine3) -> Result<()> {
         let world = *world_from_group * shape.world_from_object;
         let own = in_own_space(&shape.geometry);
-        let first_light = self.lights_of(scene, shape, &own, &world);
+        let whole = self.mesh_light(scene, shape, &world);
+        let (one_light, first_light) = match whole {
+            Some(light) => (true, Some(light)),
+            None => (false, self.lights_of(scene, shape, &own, &world)),
+        };
         let geometry = match &shape.geometry {
             Geometry::Mesh(mesh) => match self.shared.get(&Arc::as_ptr(mesh)) {
                 Some(geometry) => geometry.clone(),
@@ -112,7 +118,7 @@ impl Parts {
             _ => Arc::new(trace::Geometry::new(vec![own.shape])?),
         };
         self.begin();
-        self.surfaces.push(surface(scene, shape, own.form, first_light));
+        self.surfaces.push(Surface { one_light, ..surface(scene, shape, own.form, first_light) });
         self.place(geometry, world);
         Ok(())
     }
@@ -156,6 +162,18 @@ impl Parts {
         self.instances.push(trace::Instance { geometry, world_from_object });
     }
 
+    /// Adds a shape that is one of the places of a mesh as one light; its number. `None`: its triangles are lights each.
+    fn mesh_light(&mut self, scene: &Scene, shape: &Shape, world: &DAffine3) -> Option<u32> {
+        let (Some(radiance), Geometry::Mesh(mesh)) = (shape.radiance, &shape.geometry) else { return None };
+        let scale = similarity(world)?;
+        let faces =
+            self.faces.entry(Arc::as_ptr(mesh)).or_insert_with(|| Faces::new(mesh).map(Arc::new)).as_ref()?.clone();
+        let light = MeshLight::new(faces, *world, scale, shape.flip_normals);
+        let power = mean_luminance(scene, radiance) * light.area() * PI;
+        self.lights.push(ShapeLight { radiance, power, form: ShapeForm::Mesh(Box::new(light)) });
+        Some(self.lights.len() as u32 - 1)
+    }
+
     /// Adds the lights of a shape; the number of the first.
     fn lights_of(&mut self, scene: &Scene, shape: &Shape, form: &Baked, world: &DAffine3) -> Option<u32> {
         let radiance = shape.radiance?;
@@ -185,7 +203,7 @@ impl Parts {
                 let area = match &form {
                     ShapeForm::Sphere { radius, .. } => 4.0 * PI * radius * radius,
                     ShapeForm::Quadric(q) => q.area(),
-                    ShapeForm::Triangle { .. } => 0.0, // not made here
+                    ShapeForm::Triangle { .. } | ShapeForm::Mesh(_) => 0.0, // not made here
                 };
                 let power = mean_luminance(scene, radiance) * area * PI;
                 self.lights.push(ShapeLight { radiance, power, form });
@@ -208,22 +226,8 @@ fn unit_sphere_from_world(geometry: &Geometry, world_from_object: &DAffine3) -> 
 fn triangle_light(scene: &Scene, shape: &Shape, mesh: &Arc<TriMesh>, face: usize, world: &DAffine3) -> ShapeLight {
     let [p, b, c] = mesh.corners(face).map(|v| world.transform_point3(v.as_dvec3()).as_vec3());
     let (e1, e2) = (b - p, c - p);
+    let n = bright_normal(mesh, face, world, shape.flip_normals);
     let double = e1.as_dvec3().cross(e2.as_dvec3());
-    let mut n = double.normalize_or_zero().as_vec3();
-    if world.matrix3.determinant() < 0.0 {
-        n = -n;
-    }
-    // The bright side is that of the shading normals, as for hits.
-    if let Some(normals) = &mesh.normals {
-        let sum: Vec3 = mesh.indices[face].iter().map(|&i| Vec3::from(normals[i as usize])).sum();
-        let m = world.matrix3.inverse().transpose().as_mat3();
-        if (m * sum).dot(n) < 0.0 {
-            n = -n;
-        }
-    }
-    if shape.flip_normals {
-        n = -n;
-    }
     let area = (0.5 * double.length()) as f32;
     let radiance = shape.radiance.expect("called for shapes that shine");
     let form = ShapeForm::Triangle { p, e1, e2, n, area, mesh: mesh.clone(), face: face as u32 };
@@ -313,6 +317,7 @@ fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -
         passes: passes(scene, shape.material),
         radiance: shape.radiance,
         first_light,
+        one_light: false,
         flip: shape.flip_normals,
         interior: shape.interior,
         exterior: shape.exterior,

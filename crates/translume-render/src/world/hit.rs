@@ -121,8 +121,7 @@ impl World {
             }
             Form::Quadric(quadric) => {
                 let (geometry, object_from_geometry) = &**quadric;
-                let instance = &self.tracer.instances()[hit.instance as usize];
-                let own = instance.world_from_object.inverse().transform_point3(point.p.as_dvec3());
+                let own = self.tracer.object_from_world(hit.instance).transform_point3(point.p.as_dvec3());
                 let place = on_quadric(geometry, object_from_geometry.transform_point3(own));
                 (place.moved(&object_from_geometry.matrix3.inverse().as_mat3()), Rgb::ONE)
             }
@@ -140,7 +139,10 @@ impl World {
             (n, ns) = (-n, -ns);
         }
         point.ng = n;
-        point.error = point.error.max(Vec3::splat(GAP * (1.0 + point.p.abs().max_element()).min(self.reach)));
+        // Not where media meet: a path there would lose a part of its way through them.
+        if surface.interior.is_none() && surface.exterior.is_none() {
+            point.error = point.error.max(Vec3::splat(GAP * (1.0 + point.p.abs().max_element()).min(self.reach)));
+        }
         SurfaceHit {
             n,
             point,

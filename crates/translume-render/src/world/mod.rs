@@ -46,6 +46,8 @@ pub(crate) struct Surface {
     radiance: Option<TextureId>,
     /// Number of the light that the first primitive is.
     pub(crate) first_light: Option<u32>,
+    /// All primitives are that one light.
+    pub(crate) one_light: bool,
     flip: bool,
     interior: Option<MediumId>,
     exterior: Option<MediumId>,
@@ -196,12 +198,20 @@ impl World {
 }
 
 impl SurfaceHit {
-    /// The rest of `ray` behind this hit, with the same parameters.
+    /// The rest of `ray` behind this hit: to the same end, its parameter counted on from [`SurfaceHit::t`].
     #[inline]
     pub fn go_on(&self, ray: &Ray) -> Ray {
-        // The origin moves to the surface, so the parameter that was used up is taken off the limit.
         let o = self.point.origin_towards(ray.d);
-        Ray { o, d: ray.d, t_min: 0.0, t_max: ray.t_max - self.t }
+        let rest = ray.t_max - self.t;
+        if rest.is_infinite() {
+            return Ray { o, d: ray.d, t_min: 0.0, t_max: rest };
+        }
+        // The origin has moved off the surface. Moved along with it, the end would lie behind what it stops short of.
+        let d = (ray.at(ray.t_max) - o) / rest;
+        match d.dot(ray.d) > 0.0 {
+            true => Ray { o, d, t_min: 0.0, t_max: rest },
+            false => Ray { o, d: ray.d, t_min: 0.0, t_max: 0.0 }, // the surface is as near as the end
+        }
     }
 
     /// Texture coordinates.
