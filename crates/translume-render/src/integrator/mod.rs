@@ -85,11 +85,14 @@ pub(crate) fn wants_features(film: &Film) -> bool {
     film.aovs().iter().any(|a| *a != crate::film::Aov::Variance)
 }
 
-/// Russian roulette: the chance that a path of this throughput goes on. Refraction's change of radiance is taken out by
-/// `eta`, the product of relative indices so far.
+/// The most that a scattering at a surface leaves to Russian roulette, so that paths end among mirrors.
+pub(crate) const MOST_SURVIVAL: f32 = 0.95;
+
+/// Russian roulette: the chance, at most `most`, that a path of this throughput goes on. Refraction's change of radiance is
+/// taken out by `eta`, the product of relative indices so far.
 #[inline]
-pub(crate) fn survival(throughput: Rgb, eta: f32) -> f32 {
-    (throughput.max_element() * eta * eta).min(0.95)
+pub(crate) fn survival(throughput: Rgb, eta: f32, most: f32) -> f32 {
+    (throughput.max_element() * eta * eta).min(most)
 }
 
 /// The power heuristic for one sample of each of two techniques (Veach 1997, exponent 2).

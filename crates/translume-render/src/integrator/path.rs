@@ -4,7 +4,7 @@
 //! does is as in Mitsuba 3's integrator of this name. Deviation: emitter sampling sees through masks and other surfaces that
 //! pass light straight, which Mitsuba leaves to chance; the expectation is the same. Media are ignored.
 
-use super::{Integrator, Settings, Work, power_heuristic, survival};
+use super::{Integrator, MOST_SURVIVAL, Settings, Work, power_heuristic, survival};
 use crate::Rgb;
 use crate::light::LightSample;
 use crate::world::{Shading, SurfaceHit, World};
@@ -106,7 +106,7 @@ impl Integrator for Path {
                 origin = Origin { p: hit.point.p, n, pdf_w: if delta { f32::INFINITY } else { sample.pdf_w } };
             }
             if depth + 1 >= self.settings.rr_depth {
-                let survival = survival(throughput, eta);
+                let survival = survival(throughput, eta, MOST_SURVIVAL);
                 if work.sampler.next_1d() >= survival {
                     break;
                 }
