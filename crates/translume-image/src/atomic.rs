@@ -2,7 +2,7 @@
 
 use crate::{Error, Result};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 /// Calls `fill` with a buffered temporary file beside `path` and renames it to `path` when `fill` succeeded.
@@ -13,15 +13,7 @@ pub fn write<E: From<Error>>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<&mut File>) -> std::result::Result<(), E>,
 ) -> std::result::Result<(), E> {
-    let folder = match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    };
-    let mut temporary = tempfile::Builder::new()
-        .prefix(".translume-")
-        .suffix(".tmp")
-        .tempfile_in(folder)
-        .map_err(|e| Error::io(path, e))?;
+    let mut temporary = temporary_beside(path).map_err(|e| Error::io(path, e))?;
     let mut buffered = BufWriter::new(temporary.as_file_mut());
     fill(&mut buffered)?;
     buffered.flush().map_err(|e| Error::io(path, e))?;
@@ -37,6 +29,23 @@ pub fn write<E: From<Error>>(
 /// [`Error::Io`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write(path, |f| f.write_all(bytes).map_err(|e| Error::io(path, e)))
+}
+
+/// Whether [`write()`] could write `path`, for long work that would be lost otherwise.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn check_writable(path: &Path) -> Result<()> {
+    if path.is_dir() {
+        return Err(Error::io(path, io::ErrorKind::IsADirectory.into()));
+    }
+    // The message of the temporary file names a path that nobody knows.
+    temporary_beside(path).map(drop).map_err(|e| Error::io(path, e.kind().into()))
+}
+
+fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    tempfile::Builder::new().prefix(".translume-").suffix(".tmp").tempfile_in(folder)
 }
 
 /// Temporary files are private to their owner; results are not.
@@ -66,5 +75,15 @@ mod tests {
         assert!(failed.is_err());
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_known_before() {
+        let dir = tempfile::tempdir().unwrap();
+        check_writable(&dir.path().join("new.txt")).unwrap();
+        assert!(check_writable(dir.path()).is_err());
+        let error = check_writable(&dir.path().join("gone").join("new.txt")).unwrap_err().to_string();
+        assert!(error.contains("new.txt") && !error.contains(".tmp"), "{error}");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use translume_image::colour::linear_to_srgb;
-use translume_image::{ExrOptions, Precision, write_exr_channels, write_png8};
+use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
 use translume_render::checkpoint::{self, Identity};
 use translume_render::film::{Aov, Film};
 use translume_render::integrator::{self, INTEGRATORS, Settings};
@@ -112,13 +112,11 @@ fn parse_define(text: &str) -> Result<(String, String), String> {
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
-    if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr")) {
-        return Err(Usage(format!("{}: the picture must be .exr", args.output.display())).into());
-    }
+    check_outputs(&args)?;
     let begun = Instant::now();
     let options = LoadOptions { lenient: args.lenient, defines: args.set.clone() };
     let scene = Arc::new(translume_scene::load(&args.scene, &options)?);
-    scene.warnings.iter().for_each(|w| ctx.warn(format!("{}: {w}", args.scene.display())));
+    scene.warnings.iter().for_each(|w| ctx.warn(w));
     let world = World::new(scene.clone()).with_context(|| args.scene.display().to_string())?;
     let loaded = begun.elapsed();
     let (stored, placed) = scene.triangles();
@@ -139,6 +137,20 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let reporter = Reporter { args: &args, ctx, identity };
     let progress = reporter.watch(&shot, &mut film, &until)?;
     reporter.finish(&film, &name, &progress, loaded)
+}
+
+/// Before hours of work: outputs are of the kinds that are written, and can be.
+fn check_outputs(args: &Args) -> anyhow::Result<()> {
+    let outputs = [(Some(&args.output), "picture", "exr"), (args.preview.as_ref(), "preview", "png")];
+    for (path, what, extension) in outputs.into_iter().filter_map(|(p, w, e)| Some((p?, w, e))) {
+        if path.extension().is_none_or(|e| !e.eq_ignore_ascii_case(extension)) {
+            return Err(Usage(format!("{}: the {what} must be .{extension}", path.display())).into());
+        }
+    }
+    for path in [Some(&args.output), args.preview.as_ref(), args.checkpoint.as_ref()].into_iter().flatten() {
+        atomic::check_writable(path)?;
+    }
+    Ok(())
 }
 
 /// The method and its settings: the user's, else the scene's.
