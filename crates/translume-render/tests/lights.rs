@@ -51,7 +51,8 @@ fn light_paths_carry_the_power() {
     let spot = r#"<emitter type="spot"><rgb name="intensity" value="3"/><float name="cutoff_angle" value="60"/>
         <float name="beam_width" value="60"/></emitter>"#;
     // Bodies, and the power by the scene's bounding radius.
-    let cases: [(String, fn(f64) -> f64); 9] = [
+    type Case = (String, fn(f64) -> f64);
+    let cases: [Case; 9] = [
         (format!(r#"<shape type="rectangle">{GLOW}</shape>"#), |_| 2.0 * PI * 4.0),
         (format!(r#"<shape type="sphere"><float name="radius" value="2"/>{GLOW}</shape>"#), |_| 2.0 * PI * 16.0 * PI),
         (format!(r#"<shape type="disk">{GLOW}{}</shape>"#, place(3.0, 1.0)), |_| 2.0 * PI * 9.0 * PI),

@@ -21,6 +21,10 @@ fn the_page_is_whole_and_the_figures_are_good() {
     let db = |merge: &str| hdr["psnr_mu_db"][merge].as_f64().unwrap();
     assert!(db("default") > db("global") + 3.0 && db("global") > db("tripod") + 3.0, "{hdr}");
     assert!(db("default") > db("single") + 3.0, "{hdr}");
+    // Four times the samples, a quarter of the error; caustics make that rough.
+    let error: Vec<f64> = (0..3).map(|i| json["figures"]["render"]["rel_mse"][i].as_f64().unwrap()).collect();
+    assert!(error.windows(2).all(|e| e[1] < 0.5 * e[0]) && error[2] > 0.0, "{error:?}");
+
     assert!([0, 2].iter().all(|i| hdr["end_point_error_px"][*i].as_f64().unwrap() < 0.5), "{hdr}");
 }
 

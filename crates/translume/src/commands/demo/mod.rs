@@ -4,6 +4,7 @@
 //! writes its files into a folder of its own under `dir`, and a line in [`CHAPTERS`].
 
 mod hdr;
+mod render;
 
 use super::page::{self, Chapter};
 use crate::output::Context;
@@ -38,7 +39,7 @@ struct Part {
 type Entry = (&'static str, fn(&Path, &Context) -> anyhow::Result<Part>);
 
 /// The chapters in the order of the page.
-const CHAPTERS: &[Entry] = &[("hdr", hdr::chapter)];
+const CHAPTERS: &[Entry] = &[("hdr", hdr::chapter), ("render", render::chapter)];
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let page_file = args.dir.join("index.html");
