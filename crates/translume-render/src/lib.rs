@@ -24,6 +24,9 @@ mod medium;
 pub mod merge;
 pub mod render;
 mod sampler;
+pub mod splat;
+pub mod subpath;
+pub mod tally;
 mod texture;
 mod world;
 

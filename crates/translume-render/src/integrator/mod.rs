@@ -1,13 +1,18 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
+mod bdpt;
 mod path;
 mod volpath;
 
+use crate::camera::Camera;
 use crate::film::{Features, Film};
-use crate::{PathSampler, Rgb, World};
+use crate::splat::Splat;
+use crate::tally::Tally;
+use crate::{PathSampler, Result, Rgb, World};
 use translume_scene::MediumId;
 use translume_trace::Ray;
 
+pub use bdpt::Bdpt;
 pub use path::Path;
 pub use volpath::Volpath;
 
@@ -25,17 +30,60 @@ pub struct Settings {
 }
 
 /// What a thread works with.
-pub struct Work {
+pub struct Work<'a> {
     /// Random numbers of the sample at hand.
     pub sampler: PathSampler,
     /// Rays traced so far.
     pub rays: u64,
+    /// The picture.
+    pub view: View<'a>,
+    /// Light that the sample's light path brings to the film, for methods that splat.
+    pub splats: Vec<Splat>,
+    /// Counts, for methods that tell of their parts.
+    pub tally: Tally,
 }
 
-/// A method that renders pixels independently of each other.
+/// The picture that is taken.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    /// By which camera.
+    pub camera: &'a Camera,
+    /// Pixels beyond the border of the film whose light counts.
+    pub margin: f32,
+    /// Pixels of the part that is rendered: light paths per sample of a pixel.
+    pub pixels: f32,
+}
+
+/// A method of rendering: called once per sample of each pixel.
 pub trait Integrator: Send + Sync {
-    /// One unbiased estimate of the radiance that arrives along `ray`.
+    /// One estimate of the radiance that arrives along `ray`; what reaches other pixels goes to [`Work::splats`].
     fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb;
+
+    /// Whether the method splats: the film must be [`Film::with_splats`].
+    fn splats(&self) -> bool {
+        false
+    }
+
+    /// Whether the method can render this scene; to be asked before the first sample.
+    ///
+    /// # Errors
+    /// [`crate::Error::Scene`].
+    fn check(&self, _world: &World) -> Result<()> {
+        Ok(())
+    }
+
+    /// Called when a render begins, before the first sample: what is computed once for a picture.
+    fn prepare(&self, _world: &World, _seed: u64) {}
+
+    /// Names of the parts that [`Work::tally`] counts: of the number `part`.
+    fn part(&self, part: usize) -> String {
+        part.to_string()
+    }
+
+    /// Numbers about the work that was done once, with their names.
+    fn facts(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
 }
 
 /// A row of [`INTEGRATORS`].
@@ -48,7 +96,7 @@ pub struct Entry {
 }
 
 /// All methods.
-pub const INTEGRATORS: [Entry; 2] = [
+pub const INTEGRATORS: [Entry; 3] = [
     Entry {
         name: "path",
         about: "path tracing with emitter sampling; media are not seen",
@@ -58,6 +106,11 @@ pub const INTEGRATORS: [Entry; 2] = [
         name: "volpath",
         about: "path tracing through participating media",
         make: |settings| Box::new(Volpath::new(settings)),
+    },
+    Entry {
+        name: "bdpt",
+        about: "bidirectional path tracing; no media",
+        make: |settings| Box::new(Bdpt::new(settings)),
     },
 ];
 
