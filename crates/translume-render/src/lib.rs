@@ -22,6 +22,7 @@ pub mod light;
 mod material;
 mod medium;
 pub mod merge;
+pub mod photons;
 pub mod render;
 mod sampler;
 pub mod splat;

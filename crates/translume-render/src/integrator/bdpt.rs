@@ -346,7 +346,7 @@ impl Sample<'_, '_> {
     }
 
     /// t = 1.
-    fn to_camera(&mut self, lens: glam::Vec2) {
+    fn land(&mut self, lens: glam::Vec2) {
         let Some(path) = self.path else { return };
         for i in 0..self.light.vertices.len() {
             let (v, shading, s) = (self.light.vertices[i], &self.light.shadings[i], self.light.counts[i]);
@@ -472,7 +472,7 @@ impl Integrator for Bdpt {
         if let Some(escape) = escape {
             radiance += sample.escaped(&escape);
         }
-        sample.to_camera(light_sampler.next_2d());
+        sample.land(light_sampler.next_2d());
         radiance
     }
 }

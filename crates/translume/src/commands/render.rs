@@ -28,6 +28,9 @@ Examples:
   Caustics through glass, by all strategies from both ends:
     translume render scene.xml -o out.exr --integrator bdpt --spp 256
 
+  By photon mapping, everything as it is in the map:
+    translume render scene.xml -o out.exr --integrator photonmap --option gather=false --option direct=map
+
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck --resume";
@@ -49,6 +52,9 @@ pub(crate) struct Args {
     /// The method [default: the scene's, or path]
     #[arg(long, value_name = "NAME", value_parser = integrator_names())]
     integrator: Option<String>,
+    #[arg(short = 'O', long = "option", value_name = "NAME=VALUE", value_parser = parse_define, help = "An option of the method",
+        long_help = options_help())]
+    options: Vec<(String, String)>,
     /// Stop after this time (such as 90s, 5m, 2h)
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
@@ -86,6 +92,16 @@ pub(crate) struct Args {
 
 fn integrator_names() -> clap::builder::PossibleValuesParser {
     INTEGRATORS.iter().map(|e| clap::builder::PossibleValue::new(e.name).help(e.about)).collect::<Vec<_>>().into()
+}
+
+fn options_help() -> String {
+    let mut text = "An option of the method; these there are:".to_owned();
+    for entry in &INTEGRATORS {
+        for o in entry.options {
+            text += &format!("\n  {} {}={}: {}", entry.name, o.name, o.default, o.about);
+        }
+    }
+    text
 }
 
 fn aov_names() -> clap::builder::PossibleValuesParser {
@@ -128,14 +144,18 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
     let (name, settings) = method(&args, &scene, ctx);
-    let integrator = integrator::by_name(&name, settings).ok_or_else(|| anyhow!("no integrator {name}"))?;
+    let integrator =
+        integrator::with_options(&name, settings, &args.options).map_err(|e| Usage(format!("--option: {e}")))?;
     integrator.check(&world).with_context(|| args.scene.display().to_string())?;
     let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
     let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| args.aov.iter().any(|a| a == n.0)).map(|n| n.1).collect();
     let mut film = shot.film(&aovs)?;
     let asked = args.spp.or(if args.time.is_some() { None } else { Some(sensor.sample_count.unwrap_or(64).into()) });
     let until = Until { samples: asked.unwrap_or(u64::MAX), time: args.time };
-    let identity = Identity { fingerprint: fingerprint(&scene, &format!("{name} {settings:?}")), seed: args.seed };
+    let identity = Identity {
+        fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {:?}", args.options)),
+        seed: args.seed,
+    };
     if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
         checkpoint::read(path, &mut film, &identity)?;
         ctx.note(format!("going on from {} samples per pixel", film.samples().0));
