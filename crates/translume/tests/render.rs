@@ -29,7 +29,7 @@ fn bdpt_tells_of_its_strategies_and_resumes_to_the_bit() {
     let json: Value = serde_json::from_str(&render("-o whole.exr --spp 8 --threads 1 --json")).unwrap();
     let strategies = json["strategies"].as_array().unwrap();
     let of = |name: &str| strategies.iter().find(|s| s["name"] == name).unwrap();
-    for name in ["s=0 t=2", "s=1 t=2", "s=2 t=1", "s=2 t=2"] {
+    for name in ["s=0 t=3", "s=1 t=2", "s=2 t=1", "s=4 t=1"] {
         assert!(of(name)["contributed"].as_u64().unwrap() > 0, "{name}");
         assert!(of(name)["contributed"].as_u64() <= of(name)["tried"].as_u64(), "{name}");
     }

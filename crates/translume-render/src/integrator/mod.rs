@@ -174,7 +174,7 @@ pub const INTEGRATORS: [Entry; 4] = [
         about: "photon mapping (biased); no media",
         options: &[
             Choice { name: "photons", default: "500000", about: "light paths that are traced" },
-            Choice { name: "neighbours", default: "100", about: "nearest photons of an estimate" },
+            Choice { name: "neighbours", default: "50", about: "nearest photons of an estimate" },
             Choice { name: "gather", default: "true", about: "follow one more direction before estimating" },
             Choice { name: "direct", default: "sample", about: "direct light: `sample`, or `map` with gather=false" },
         ],
