@@ -5,6 +5,7 @@ use crate::film::{Aov, Film, Tile};
 use crate::filter::FilterSampler;
 use crate::integrator::{self, Integrator, View, Work};
 use crate::splat::{Shared, Splats, Splatter};
+use crate::subpath::Density;
 use crate::tally::Tally;
 use crate::{PathSampler, Result, World};
 use glam::Vec2;
@@ -13,6 +14,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use translume_core::sampler::Sampler;
+use translume_trace::Ray;
 use translume_scene::sensor::{Crop, Sensor};
 
 /// A picture to take.
@@ -136,6 +138,10 @@ impl<'a> Shot<'a> {
             if done >= until.samples || stopped || (done > 0 && late()) {
                 return progress;
             }
+            if let Some(n) = self.integrator.pass(self, film, stop, &late) {
+                rays.fetch_add(n, Ordering::Relaxed);
+                continue;
+            }
             let goal = (done + chunk).min(until.samples);
             let began = Instant::now();
             let aovs = film.aovs().to_vec();
@@ -154,24 +160,53 @@ impl<'a> Shot<'a> {
         }
     }
 
+    /// The density of what the camera's ray meets.
+    pub(crate) fn camera_density(&self, ray: &Ray) -> Density {
+        let density = self.camera.density(ray.d, 1.0);
+        match self.camera.is_parallel() {
+            true => Density::Parallel(density),
+            false => Density::Angle { from: ray.o, pdf_w: density },
+        }
+    }
+
+    /// Adds what sample `sample` of each pixel of `tile` meets first to the feature images.
+    pub(crate) fn add_features(&self, tile: &mut Tile, aovs: &[Aov], sample: u64) {
+        if aovs.iter().all(|a| *a == Aov::Variance) {
+            return;
+        }
+        for i in 0..tile.sums.len() {
+            let (_, ray, _) = self.camera_path(tile, i, sample);
+            if let Some(f) = integrator::features(self.world, &ray) {
+                tile.add_features(aovs, i, &f);
+            }
+        }
+    }
+
+    /// The camera path of sample `sample` of pixel `i` of `tile`: its random numbers, its first ray and the filter's weight.
+    pub(crate) fn camera_path(&self, tile: &Tile, i: usize, sample: u64) -> (PathSampler, Ray, f32) {
+        let (offset, _) = self.window;
+        let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
+        let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
+        // The stream is the place on the film, so that a crop has the pixels of the whole.
+        let mut sampler = PathSampler::new(self.seed, u64::from(y) << 32 | u64::from(x), sample);
+        let (shift, weight) = self.filter.sample(sampler.next_2d());
+        let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
+        let ray = self.camera.ray(film, sampler.next_2d());
+        (sampler, ray, weight)
+    }
+
     /// Gives each pixel of the tile `n` more samples; returns the rays.
     fn sample_tile(&self, tile: &mut Tile, aovs: &[Aov], features: bool, n: u64, splats: Option<&Shared>) -> u64 {
-        let (offset, [w, h]) = self.window;
+        let (_, [w, h]) = self.window;
         let view = View { camera: &self.camera, margin: self.filter.margin(), pixels: w as f32 * h as f32 };
         let splatter = Splatter { filter: &self.filter, window: self.window };
         let sampler = PathSampler::new(self.seed, 0, 0);
         let mut work = Work { sampler, rays: 0, view, splats: Vec::new(), tally: Tally::default() };
         let mut shares = Vec::new();
         for i in 0..tile.sums.len() {
-            let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
-            let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
-            // The stream is the place on the film, so that a crop has the pixels of the whole.
-            let stream = u64::from(y) << 32 | u64::from(x);
             for sample in tile.samples..tile.samples + n {
-                work.sampler = PathSampler::new(self.seed, stream, sample);
-                let (shift, weight) = self.filter.sample(work.sampler.next_2d());
-                let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
-                let ray = self.camera.ray(film, work.sampler.next_2d());
+                let (sampler, ray, weight) = self.camera_path(tile, i, sample);
+                work.sampler = sampler;
                 if features && let Some(f) = integrator::features(self.world, &ray) {
                     tile.add_features(aovs, i, &f);
                 }

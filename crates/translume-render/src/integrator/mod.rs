@@ -1,6 +1,7 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
 mod bdpt;
+pub mod gkernel;
 mod path;
 mod photonmap;
 mod volpath;
@@ -12,9 +13,12 @@ use crate::tally::Tally;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
 use translume_scene::MediumId;
+use crate::render::Shot;
+use std::sync::atomic::AtomicBool;
 use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
+pub use gkernel::GKernel;
 pub use path::Path;
 pub use photonmap::PhotonMapping;
 pub use volpath::Volpath;
@@ -60,7 +64,15 @@ pub struct View<'a> {
 /// A method of rendering: called once per sample of each pixel.
 pub trait Integrator: Send + Sync {
     /// One estimate of the radiance that arrives along `ray`; what reaches other pixels goes to [`Work::splats`].
-    fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb;
+    fn radiance(&self, _world: &World, _ray: &Ray, _work: &mut Work) -> Rgb {
+        Rgb::ZERO
+    }
+
+    /// For methods that work on the whole picture at once, which have no [`Integrator::radiance`]: adds a sample to every
+    /// pixel, as far as neither `stop` nor `late` ends it (the first sample is finished in any case), and returns the rays.
+    fn pass(&self, _shot: &Shot, _film: &mut Film, _stop: &AtomicBool, _late: &dyn Fn() -> bool) -> Option<u64> {
+        None
+    }
 
     /// Whether the method splats: the film must be [`Film::with_splats`].
     fn splats(&self) -> bool {
@@ -84,7 +96,7 @@ pub trait Integrator: Send + Sync {
     }
 
     /// Numbers about the work that was done once, with their names.
-    fn facts(&self) -> Vec<(&'static str, u64)> {
+    fn facts(&self) -> Vec<(&'static str, f64)> {
         Vec::new()
     }
 }
@@ -179,6 +191,11 @@ pub const INTEGRATORS: [Entry; 4] = [
             Choice { name: "direct", default: "sample", about: "direct light: `sample`, or `map` with gather=false" },
         ],
         make: |settings, options| Ok(Box::new(PhotonMapping::new(settings, options)?)),
+    },
+    Entry {
+        name: "gkernel",
+        about: "the generalized kernel method: many lights, smooth noise; no media",
+        make: |settings| Box::new(GKernel::new(settings, gkernel::Options::default())),
     },
 ];
 

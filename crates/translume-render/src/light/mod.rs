@@ -285,6 +285,15 @@ impl Lights {
         }
     }
 
+    /// Radiance (points: intensity) that the light of `start` sends from there along `d`; nothing behind its surface.
+    pub fn emitted(&self, scene: &Scene, start: &LightStart, d: Vec3) -> Rgb {
+        match &self.lights[start.light] {
+            Light::Point(s) => s.intensity(scene, d),
+            Light::Shape(_) if start.n.dot(d) <= 0.0 => Rgb::ZERO,
+            _ => start.radiance,
+        }
+    }
+
     /// The infinitely far lights with extent, each as seen along `d`.
     pub fn far_lights(&self, d: Vec3) -> impl Iterator<Item = FarLight> {
         let chance = self.far_share() / self.far.len().max(1) as f32;

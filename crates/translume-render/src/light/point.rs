@@ -78,7 +78,7 @@ impl PointLight {
     }
 
     /// Power per solid angle towards the unit direction `d`.
-    fn intensity(&self, scene: &Scene, d: Vec3) -> Rgb {
+    pub(crate) fn intensity(&self, scene: &Scene, d: Vec3) -> Rgb {
         let local = (self.light_from_world * d).normalize();
         match &self.kind {
             Kind::Point(intensity) => *intensity,
