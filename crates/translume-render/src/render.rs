@@ -14,8 +14,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use translume_core::sampler::Sampler;
-use translume_trace::Ray;
 use translume_scene::sensor::{Crop, Sensor};
+use translume_trace::Ray;
 
 /// A picture to take.
 pub struct Shot<'a> {

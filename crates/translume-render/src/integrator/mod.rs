@@ -8,13 +8,13 @@ mod volpath;
 
 use crate::camera::Camera;
 use crate::film::{Features, Film};
+use crate::render::Shot;
 use crate::splat::Splat;
 use crate::tally::Tally;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
-use translume_scene::MediumId;
-use crate::render::Shot;
 use std::sync::atomic::AtomicBool;
+use translume_scene::MediumId;
 use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
@@ -162,7 +162,7 @@ pub struct Entry {
 }
 
 /// All methods.
-pub const INTEGRATORS: [Entry; 4] = [
+pub const INTEGRATORS: [Entry; 5] = [
     Entry {
         name: "path",
         about: "path tracing with emitter sampling; media are not seen",
@@ -194,8 +194,12 @@ pub const INTEGRATORS: [Entry; 4] = [
     },
     Entry {
         name: "gkernel",
-        about: "the generalized kernel method: many lights, smooth noise; no media",
-        make: |settings| Box::new(GKernel::new(settings, gkernel::Options::default())),
+        about: "the generalized kernel method, for many lights (nearly unbiased); no media",
+        options: &[
+            Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
+            Choice { name: "printed", default: "false", about: "the method as in the paper of 2003, darker at edges" },
+        ],
+        make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
     },
 ];
 

@@ -206,11 +206,11 @@ impl Integrator for PhotonMapping {
         ["emitted", "direct", "caustic", "indirect"][part].into()
     }
 
-    fn facts(&self) -> Vec<(&'static str, u64)> {
+    fn facts(&self) -> Vec<(&'static str, f64)> {
         let maps = self.maps.get();
-        let count = |f: fn(&Maps) -> usize| maps.map_or(0, |m| f(m) as u64);
+        let count = |f: fn(&Maps) -> usize| maps.map_or(0.0, |m| f(m) as f64);
         vec![
-            ("light_paths", self.paths),
+            ("light_paths", self.paths as f64),
             ("caustic_photons", count(|m| m.caustic.len())),
             ("photons", count(|m| m.caustic.len() + m.indirect.len())),
         ]

@@ -31,6 +31,9 @@ Examples:
   By photon mapping, everything as it is in the map:
     translume render scene.xml -o out.exr --integrator photonmap --option gather=false --option direct=map
 
+  Many lights in many rooms, by the generalized kernel method:
+    translume render scene.xml -o out.exr --integrator gkernel --spp 16
+
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck --resume";

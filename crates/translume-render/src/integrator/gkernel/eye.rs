@@ -54,8 +54,7 @@ impl<'a> Eye<'a> {
         buffer: &mut Vec<Vertex>,
         out: &mut Vec<EyeVertex<'a>>,
     ) -> Rgb {
-        let walk =
-            Walk { world: self.world, mode: Mode::Radiance, limits: self.limits, hide_lights: self.hide_lights };
+        let walk = Walk { world: self.world, mode: Mode::Radiance, limits: self.limits, hide_lights: self.hide_lights };
         buffer.clear();
         let begin = (*ray, Rgb::splat(weight), density);
         let (escape, _) = walk.run(begin, None, sampler, rays, buffer);

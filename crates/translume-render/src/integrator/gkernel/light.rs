@@ -111,7 +111,7 @@ pub(crate) struct Request<'a> {
     pub(crate) seed: u64,
     pub(crate) step: u64,
     pub(crate) count: u32,
-    /// Find out where surfaces are flat.
+    /// Find out where surfaces are flat; if not, all are taken for it.
     pub(crate) probe: bool,
 }
 
@@ -150,8 +150,7 @@ impl LightPaths {
         // One path after the other of a low-discrepancy sequence, another sequence for each step.
         let mut sampler = PathSampler::new(request.seed, STREAM | request.step, path.into());
         buffer.clear();
-        let Some(light) =
-            subpath::light_path(request.world, request.limits, &mut sampler, &mut self.rays, buffer)
+        let Some(light) = subpath::light_path(request.world, request.limits, &mut sampler, &mut self.rays, buffer)
         else {
             return;
         };
@@ -160,7 +159,7 @@ impl LightPaths {
         for i in 0..buffer.len() {
             let vertex = self.vertex(request, &light, buffer, base, i);
             self.vertices.push(vertex);
-            if request.probe && vertex.linked() && self.is_flat(request.world, &vertex) {
+            if !request.probe || vertex.linked() && self.is_flat(request.world, &vertex) {
                 self.vertices[base + i].flags |= FLAT;
             }
         }
@@ -253,7 +252,8 @@ impl LightPaths {
                 let parent = &self.vertices[v.parent as usize];
                 ((v.hit.point.p - parent.hit.point.p).length(), Some(parent.radius))
             };
-            self.vertices[i].radius = if v.linked() { bandwidth.radius(v.pdf, distance, before) } else { before.unwrap_or(0.0) };
+            self.vertices[i].radius =
+                if v.linked() { bandwidth.radius(v.pdf, distance, before) } else { before.unwrap_or(0.0) };
         }
     }
 

@@ -235,7 +235,10 @@ impl<'a> Linker<'a> {
         }
         let weight = self.weight(parent, &arrival, &here, y, cos_y);
         let paths = self.lights.count as f32;
-        score.value = arrival.value * visible * here.f * y.throughput
+        score.value = arrival.value
+            * visible
+            * here.f
+            * y.throughput
             * (cos_y * kernel * weight * link.weight / (v.survival * paths));
         score
     }
@@ -247,7 +250,13 @@ impl<'a> Linker<'a> {
                 if point.far {
                     let value = start.radiance / start.pdf_begin();
                     let (wi, pdf_across) = (-start.direction, start.pdf_next());
-                    return Some(Arrival { wi, value: value / pdf_across, pdf_across, onto_parent: 1.0, at_parent: None });
+                    return Some(Arrival {
+                        wi,
+                        value: value / pdf_across,
+                        pdf_across,
+                        onto_parent: 1.0,
+                        at_parent: None,
+                    });
                 }
                 let (wi, distance) = toward(y, start.p)?;
                 let (_, pdf_w) = self.world.lights().pdf_start(&point, -wi);

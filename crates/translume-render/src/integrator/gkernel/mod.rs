@@ -10,7 +10,7 @@
 //! Nothing needs to be set: h is found by the number of footprints of direct light per camera vertex (M = 10), the number
 //! of trial links by the share that a pilot found unoccluded, per tile for the first vertex and per depth beyond.
 //!
-//! Departures, all off with [`Options::printed`]: R is at most 0.35 of the distance to the parent and h shrinks with the
+//! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
 //! chosen by the flux that they would bring; merges are weighed by their number (see [`weight`]).
 //!
@@ -23,7 +23,7 @@ mod link;
 mod points;
 mod weight;
 
-use super::{Integrator, Settings};
+use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
 use crate::render::Shot;
 use crate::subpath::{Limits, MOST_SEGMENTS, Vertex};
@@ -37,19 +37,13 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use weight::Weighing;
 
-/// What may be chosen.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Options {
-    /// Light paths of a step; `None`: half as many as pixels, at least 10,000.
-    pub light_paths: Option<u32>,
-    /// The paper's method as it is printed, biased at edges at any number of steps.
-    pub printed: bool,
-}
-
 /// See the module.
 pub struct GKernel {
     settings: Settings,
-    options: Options,
+    /// Light paths of a step; 0: half as many as pixels, at least [`FEWEST_PATHS`].
+    light_paths: u32,
+    /// The paper's method as it is printed.
+    printed: bool,
     calibration: OnceLock<Calibration>,
     counts: Counts,
 }
@@ -59,6 +53,10 @@ const LINKS: f32 = 10.0;
 
 /// Most trial links of a camera vertex.
 const MOST_TRIALS: f32 = 80.0;
+
+/// Light paths of a step unless the user says otherwise.
+const FEWEST_PATHS: u32 = 10_000;
+const MOST_PATHS: u32 = 1_000_000;
 
 /// h before it is calibrated.
 const FIRST_H: f32 = 0.01;
@@ -101,9 +99,14 @@ struct Block<'a> {
 }
 
 impl GKernel {
-    /// With these settings.
-    pub fn new(settings: Settings, options: Options) -> Self {
-        Self { settings, options, calibration: OnceLock::new(), counts: Counts::default() }
+    /// With these settings and options.
+    ///
+    /// # Errors
+    /// [`Error::Mismatch`] for options that are none.
+    pub fn new(settings: Settings, options: &Options) -> Result<Self> {
+        let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
+        let printed = options.switch("printed")?;
+        Ok(Self { settings, light_paths, printed, calibration: OnceLock::new(), counts: Counts::default() })
     }
 
     fn max(&self) -> u32 {
@@ -111,7 +114,7 @@ impl GKernel {
     }
 
     fn bandwidth(&self, world: &World, h: [f32; 2]) -> Bandwidth {
-        match self.options.printed {
+        match self.printed {
             true => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY },
             false => Bandwidth { h, grow: false, share: 0.35, most: 0.1 * world.bounding_sphere().1 },
         }
@@ -119,7 +122,7 @@ impl GKernel {
 
     fn light_paths(&self, shot: &Shot) -> u32 {
         let [w, h] = shot.size();
-        self.options.light_paths.unwrap_or_else(|| (w * h / 2).max(10_000))
+        if self.light_paths > 0 { self.light_paths } else { (w * h / 2).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
     fn request<'a>(&self, shot: &Shot<'a>, step: u64, h: [f32; 2], weighing: Weighing) -> Request<'a> {
@@ -131,7 +134,7 @@ impl GKernel {
             seed: shot.seed,
             step,
             count: self.light_paths(shot),
-            probe: !self.options.printed,
+            probe: !self.printed,
         }
     }
 
@@ -161,7 +164,7 @@ impl GKernel {
     /// Finds h, and how many links are occluded, with light paths of their own and some of the camera's.
     fn calibrate(&self, shot: &Shot, film: &Film) -> Calibration {
         const STEP: u64 = 1 << 40;
-        let mut weighing = Weighing { scale: 1.0, printed: self.options.printed };
+        let mut weighing = Weighing { scale: 1.0, printed: self.printed };
         let wanted = |i: usize| i % 16 == 5;
         let mut blocks: Vec<Block> =
             film.tiles.par_iter().map(|t| self.eyes(shot, weighing, t, STEP, wanted)).collect();
@@ -176,7 +179,7 @@ impl GKernel {
                 let pairs = Candidates::find(&lights, &eyes, |v| v.first() == first).len();
                 pairs as f32 / eyes.len().max(1) as f32
             };
-            let counts = if self.options.printed { [count(true); 2] } else { [count(true), count(false)] };
+            let counts = if self.printed { [count(true); 2] } else { [count(true), count(false)] };
             if counts.iter().all(|c| (c / LINKS - 1.0).abs() < 0.1) {
                 break;
             }
@@ -187,7 +190,7 @@ impl GKernel {
         let h = request.bandwidth.h;
         // Light vertices per path that see a point: c of the weights.
         weighing.scale = std::f32::consts::PI * h[0] * h[0] * lights.count as f32;
-        if self.options.printed {
+        if self.printed {
             weighing.scale *= lights.typical_area();
         }
 
@@ -210,7 +213,12 @@ impl GKernel {
             slot.0 += f32::from(u8::from(score.visible));
             slot.1 += 1.0;
         }
-        Calibration { h, weighing, first: first.iter().map(|(a, b)| a / b).collect(), deeper: deeper.map(|(a, b)| a / b) }
+        Calibration {
+            h,
+            weighing,
+            first: first.iter().map(|(a, b)| a / b).collect(),
+            deeper: deeper.map(|(a, b)| a / b),
+        }
     }
 
     fn linker<'a>(
@@ -226,7 +234,7 @@ impl GKernel {
 
     /// How likely a candidate becomes a trial link, relative to others of the same camera vertex.
     fn strength(&self, v: &LightVertex, eye: &EyeVertex) -> f32 {
-        if self.options.printed {
+        if self.printed {
             return 1.0 / (v.radius * v.radius * v.cos()); // eq. 10
         }
         LightPaths::strength(v) * (eye.hit.n.dot(v.hit.wo).abs() + 0.05)
@@ -234,7 +242,7 @@ impl GKernel {
 
     /// h of a step.
     fn bandwidth_of(&self, calibration: &Calibration, step: u64) -> [f32; 2] {
-        if self.options.printed {
+        if self.printed {
             return calibration.h;
         }
         let shrink: f32 = (1..=step.min(100_000)).map(|i| (i as f32 + ALPHA) / (i as f32 + 1.0)).product();
@@ -304,7 +312,9 @@ impl GKernel {
 impl Integrator for GKernel {
     fn check(&self, world: &World) -> Result<()> {
         match world.has_media() || self.settings.camera_medium.is_some() {
-            true => Err(Error::Scene("`gkernel` knows no participating media: render this scene with `volpath`".into())),
+            true => {
+                Err(Error::Scene("`gkernel` knows no participating media: render this scene with `volpath`".into()))
+            }
             false => Ok(()),
         }
     }

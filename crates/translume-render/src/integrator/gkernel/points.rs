@@ -40,15 +40,7 @@ impl Points {
         self.visit(0, 0, self.points.len(), self.levels, (center, radius * radius), &mut each);
     }
 
-    fn visit(
-        &self,
-        node: usize,
-        begin: usize,
-        end: usize,
-        levels: u32,
-        ball: (Vec3, f32),
-        each: &mut impl FnMut(u32),
-    ) {
+    fn visit(&self, node: usize, begin: usize, end: usize, levels: u32, ball: (Vec3, f32), each: &mut impl FnMut(u32)) {
         if levels == 0 {
             for (p, number) in &self.points[begin..end] {
                 if p.distance_squared(ball.0) <= ball.1 {
@@ -113,8 +105,7 @@ mod tests {
     fn the_same_points_as_by_looking_at_all() {
         let mut rng = Pcg32::new(3, 1);
         for n in [0, 1, 7, 8, 9, 17, 1000, 5000] {
-            let points: Vec<(Vec3, u32)> =
-                (0..n).map(|i| (rng.next_2d().extend(rng.next_1d() * 0.1), i)).collect();
+            let points: Vec<(Vec3, u32)> = (0..n).map(|i| (rng.next_2d().extend(rng.next_1d() * 0.1), i)).collect();
             let tree = Points::new(points.clone());
             for _ in 0..50 {
                 let (center, radius) = (rng.next_2d().extend(rng.next_1d() * 0.1), rng.next_1d() * 0.3);
