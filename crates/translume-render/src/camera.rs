@@ -41,10 +41,11 @@ pub struct CameraSample {
     pub film: Vec2,
     /// Emitted importance W_e over the density of `p` per solid angle at the given point: what a contribution
     /// radiance·f·cos is multiplied by, in pixels of the film (the sum over all light paths, divided by their number, is the
-    /// pixel's value).
+    /// pixel's value). It is at once the density with which the camera's rays through `p` arrive at the given point, see
+    /// [`Camera::density`].
     pub weight: f32,
-    /// Density per solid angle of [`Camera::ray`] for the direction −`wi` at `p`, per pixel area of the film.
-    pub pdf_w: f32,
+    /// Where the camera begins to see on the way from `p`: what is between the two does not hide anything.
+    pub near: Vec3,
 }
 
 impl Camera {
@@ -94,44 +95,59 @@ impl Camera {
         Ray { o, d: along.normalize().as_vec3(), t_min: self.near * per_z, t_max: self.far * per_z }
     }
 
-    /// Connects the point `p` of the world to the camera; `None` where it is not seen.
-    pub fn sample_importance(&self, p: Vec3, lens: Vec2) -> Option<CameraSample> {
+    /// Density of the places that the camera's rays arrive at, per area perpendicular to the ray and per pixel area of the
+    /// film, at `distance` from the point of the lens along the unit direction `d`.
+    #[inline]
+    pub fn density(&self, d: Vec3, distance: f32) -> f32 {
+        let m = &self.world_from_camera.matrix3;
+        let pixel = f64::from(4.0 * self.half.x * self.half.y / (self.size.x * self.size.y)); // its area at z = 1
+        let unit = m.determinant().abs() * pixel;
+        let density = match self.kind {
+            // Rays are uniform over the pixel at z = 1, seen there under the solid angle |det M| A / |M (x, y, 1)|³.
+            Kind::Pinhole | Kind::Lens { .. } => {
+                let z = self.camera_from_world.matrix3.z_axis.z * f64::from(d.z)
+                    + self.camera_from_world.matrix3.y_axis.z * f64::from(d.y)
+                    + self.camera_from_world.matrix3.x_axis.z * f64::from(d.x);
+                let distance = f64::from(distance);
+                1.0 / (unit * z.abs().powi(3) * distance * distance)
+            }
+            Kind::Parallel => m.z_axis.length() / unit,
+        };
+        density as f32
+    }
+
+    /// Whether rays start from one place each but all in one direction (the density does not fall with the distance).
+    pub fn is_parallel(&self) -> bool {
+        matches!(self.kind, Kind::Parallel)
+    }
+
+    /// Connects the point `p` of the world to the camera; `None` where it is not seen. `margin` pixels beyond the film's
+    /// border count as seen: reconstruction filters reach there.
+    pub fn sample_importance(&self, p: Vec3, lens: Vec2, margin: f32) -> Option<CameraSample> {
         let local = self.camera_from_world.transform_point3(p.as_dvec3()).as_vec3();
         let (origin, focus) = match self.kind {
             Kind::Pinhole => (Vec3::ZERO, 1.0),
             Kind::Lens { radius, focus } => ((warp::uniform_disk(lens.x, lens.y) * radius).extend(0.0), focus),
             Kind::Parallel => (local.truncate().extend(0.0), 1.0),
         };
-        if local.z <= self.near || local.z >= self.far {
+        if !(local.z > self.near && local.z < self.far) {
             return None;
         }
+        let toward = local - origin;
         let plane = match self.kind {
             Kind::Parallel => local.truncate(),
-            _ => {
-                let toward = local - origin;
-                (origin + toward * (focus / toward.z)).truncate() / focus
-            }
+            _ => (origin + toward * (focus / toward.z)).truncate() / focus,
         };
         let film = ((Vec2::ONE - plane / self.half) * 0.5 - self.offset) * self.size;
-        if film.min_element() < 0.0 || film.x >= self.size.x || film.y >= self.size.y {
+        let inside = film.cmpge(Vec2::splat(-margin)).all() && film.cmplt(self.size + margin).all();
+        if !inside {
             return None;
         }
-        let point = self.world_from_camera.transform_point3(origin.as_dvec3()).as_vec3();
+        let to_world = |q: Vec3| self.world_from_camera.transform_point3(q.as_dvec3()).as_vec3();
+        let point = to_world(origin);
         let distance = (point - p).length();
         let wi = (point - p) / distance;
-        let pixel = 4.0 * self.half.x * self.half.y / (self.size.x * self.size.y); // area of a pixel at z = 1
-        let scale = self.world_from_camera.matrix3.determinant().abs() as f32;
-        let unit = scale.cbrt();
-        let cos = (local - origin).normalize().z;
-        let (pdf_w, weight) = match self.kind {
-            // Directions are uniform over the pixel at z = 1: density 1/(A cos³); W_e is that per pixel and divided by the
-            // cosine, the distance comes from the lens point's density 1 (a point) or 1/(πr²) and cancels as for light.
-            Kind::Pinhole | Kind::Lens { .. } => {
-                let pdf_w = 1.0 / (pixel * cos.powi(3));
-                (pdf_w, pdf_w / (distance * distance))
-            }
-            Kind::Parallel => (f32::INFINITY, 1.0 / (pixel * unit * unit)),
-        };
-        Some(CameraSample { p: point, wi, film, weight, pdf_w })
+        let near = to_world(origin + toward * (self.near / toward.z));
+        Some(CameraSample { p: point, wi, film, weight: self.density(-wi, distance), near })
     }
 }

@@ -1,9 +1,10 @@
 //! The state of a render on disk, to go on later: `.tlck`, described in docs/formats/checkpoint.md.
 //!
-//! All numbers are little-endian. Magic `TLCHKPT\0`, version u32 (1), fingerprint u64, seed u64, width u32, height u32,
+//! All numbers are little-endian. Magic `TLCHKPT\0`, version u32 (2), fingerprint u64, seed u64, width u32, height u32,
 //! number of feature images u32 and for each its index in [`Aov::NAMED`] u32; then per tile, in rows of tiles from the top
 //! left, samples u64, broken u64 and the sums as f64: RGB per pixel, their squares if the variance is collected, the
-//! features' channels. The sums are exact, so that a resumed render ends in the same bits as an uninterrupted one.
+//! features' channels; then, of methods that splat, per pixel the sums of splats as i128 in units of 2⁻⁶⁴, RGB, and their
+//! squares if the variance is collected. The sums are exact, so that a resumed render ends in the same bits as an uninterrupted one.
 
 use crate::film::{Aov, Film};
 use crate::{Error, Result};
@@ -12,7 +13,7 @@ use std::path::Path;
 use translume_image::atomic;
 
 const MAGIC: &[u8; 8] = b"TLCHKPT\0";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// What must agree between a checkpoint and the render that goes on with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +49,9 @@ pub fn write(path: &Path, film: &Film, identity: &Identity) -> Result<()> {
             for v in sums {
                 put(&v.to_le_bytes())?;
             }
+        }
+        for v in film.splats.iter().flat_map(|s| s.sums.iter().chain(&s.squares)).flatten() {
+            put(&v.to_le_bytes())?;
         }
         Ok::<(), translume_image::Error>(())
     })?)
@@ -97,6 +101,9 @@ pub fn read(path: &Path, film: &mut Film, identity: &Identity) -> Result<()> {
         for v in sums {
             *v = f64::from_le_bytes(input.take()?);
         }
+    }
+    for v in film.splats.iter_mut().flat_map(|s| s.sums.iter_mut().chain(&mut s.squares)).flatten() {
+        *v = i128::from_le_bytes(input.take()?);
     }
     match input.file.read(&mut [0]) {
         Ok(0) => Ok(()),

@@ -1,8 +1,9 @@
 //! Where samples are added up: tiles of pixels, each with its own number of samples.
 //!
 //! Sums are in double precision and in the order of the samples, so that a picture does not depend on threads, on the
-//! lengths of passes, or on interruptions.
+//! lengths of passes, or on interruptions. What light paths add all over the film is kept apart (`splat.rs`).
 
+use crate::splat::{self, Splats};
 use crate::{Error, Result, Rgb};
 use glam::Vec3;
 
@@ -88,6 +89,8 @@ pub struct Film {
     size: [u32; 2],
     aovs: Vec<Aov>,
     pub(crate) tiles: Vec<Tile>,
+    /// Of methods whose light paths reach the film by themselves.
+    pub(crate) splats: Option<Splats>,
 }
 
 impl Film {
@@ -121,7 +124,31 @@ impl Film {
                 });
             }
         }
-        Ok(Self { size, aovs: aovs.to_vec(), tiles })
+        Ok(Self { size, aovs: aovs.to_vec(), tiles, splats: None })
+    }
+
+    /// The same film, ready for methods that splat ([`crate::integrator::Integrator::splats`]).
+    pub fn with_splats(mut self) -> Self {
+        let pixels = self.size[0] as usize * self.size[1] as usize;
+        self.splats = Some(Splats::new(pixels, self.aovs.contains(&Aov::Variance)));
+        self
+    }
+
+    /// Samples per pixel on average: as many light paths as this times the pixels have been splatted.
+    pub(crate) fn mean_samples(&self) -> f64 {
+        let paths: f64 = self.tiles.iter().map(|t| t.samples as f64 * t.sums.len() as f64).sum();
+        paths / (f64::from(self.size[0]) * f64::from(self.size[1]))
+    }
+
+    /// What the splats give channel `c` of pixel `at`, and the variance of that.
+    fn splatted(&self, at: usize, c: usize) -> (f64, f64) {
+        let Some(splats) = &self.splats else { return (0.0, 0.0) };
+        let samples = self.mean_samples();
+        let pixels = splats.sums.len() as f64;
+        let sum = splat::float(splats.sums[at][c]);
+        let square = splats.squares.get(at).map_or(0.0, |s| splat::float(s[c]));
+        // One path's mean share is of one pixel's sample the part 1/pixels.
+        (sum / samples.max(1e-300), pixels * pixels * variance_of(sum, square, samples * pixels))
     }
 
     /// Width and height.
@@ -150,7 +177,9 @@ impl Film {
         let mut out = vec![0.0; self.size[0] as usize * self.size[1] as usize * 3];
         self.each(|at, tile, i| {
             let sums = tile.sums[i];
-            (0..3).for_each(|c| out[3 * at + c] = (sums[c] / tile.samples.max(1) as f64) as f32);
+            (0..3).for_each(|c| {
+                out[3 * at + c] = (sums[c] / tile.samples.max(1) as f64 + self.splatted(at, c).0) as f32;
+            });
         });
         out
     }
@@ -158,22 +187,24 @@ impl Film {
     /// All channels by their names: `R`, `G`, `B`, `samples` (per pixel, the weight for merging), and the features.
     pub fn channels(&self) -> Vec<(&'static str, Vec<f32>)> {
         let n = self.size[0] as usize * self.size[1] as usize;
-        let plane = |f: &dyn Fn(&Tile, usize) -> f64| {
+        let plane = |f: &dyn Fn(&Tile, usize, usize) -> f64| {
             let mut out = vec![0.0; n];
-            self.each(|at, tile, i| out[at] = f(tile, i) as f32);
+            self.each(|at, tile, i| out[at] = f(tile, i, at) as f32);
             out
         };
         let mut channels: Vec<(&'static str, Vec<f32>)> = Vec::new();
         for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-            channels.push((name, plane(&|t, i| t.sums[i][c] / t.samples.max(1) as f64)));
+            channels.push((name, plane(&|t, i, at| t.sums[i][c] / t.samples.max(1) as f64 + self.splatted(at, c).0)));
         }
-        channels.push(("samples", plane(&|t, _| t.samples as f64)));
+        channels.push(("samples", plane(&|t, _, _| t.samples as f64)));
         let mut first = 0;
         for aov in &self.aovs {
             for (c, name) in aov.channels().iter().enumerate() {
                 let values = match aov {
-                    Aov::Variance => plane(&|t, i| variance(t.sums[i][c], t.squares[i][c], t.samples)),
-                    _ => plane(&|t, i| t.features[i * t.per_pixel() + first + c] / t.samples.max(1) as f64),
+                    Aov::Variance => plane(&|t, i, at| {
+                        variance_of(t.sums[i][c], t.squares[i][c], t.samples as f64) + self.splatted(at, c).1
+                    }),
+                    _ => plane(&|t, i, _| t.features[i * t.per_pixel() + first + c] / t.samples.max(1) as f64),
                 };
                 channels.push((name, values));
             }
@@ -240,10 +271,9 @@ impl Tile {
 }
 
 /// Variance of the mean of `n` samples with this sum and sum of squares.
-fn variance(sum: f64, squares: f64, n: u64) -> f64 {
-    if n < 2 {
+fn variance_of(sum: f64, squares: f64, n: f64) -> f64 {
+    if n < 2.0 {
         return 0.0;
     }
-    let n = n as f64;
     ((squares - sum * sum / n) / (n - 1.0)).max(0.0) / n
 }

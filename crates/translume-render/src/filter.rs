@@ -46,6 +46,33 @@ impl FilterSampler {
         (Vec2::new(x, y), sx * sy)
     }
 
+    /// Pixels this far beyond a pixel's border still count for it.
+    pub(crate) fn margin(&self) -> f32 {
+        (self.radius - 0.5).max(0.0)
+    }
+
+    pub(crate) fn radius(&self) -> f32 {
+        self.radius
+    }
+
+    /// What light at `offset` from a pixel's centre counts for the pixel, per pixel area: the density of
+    /// [`FilterSampler::sample`] times its weight.
+    #[inline]
+    pub(crate) fn weight(&self, offset: Vec2) -> f32 {
+        self.weight_1d(offset.x) * self.weight_1d(offset.y)
+    }
+
+    #[inline]
+    fn weight_1d(&self, x: f32) -> f32 {
+        if x < -self.radius || x >= self.radius {
+            return 0.0;
+        }
+        let place = 0.5 * (x / self.radius + 1.0);
+        let piece = ((place * PIECES as f32) as usize).min(PIECES - 1);
+        let weight = self.gain * self.pieces.probability(piece) * PIECES as f32 / (2.0 * self.radius);
+        if self.negative[piece] { -weight } else { weight }
+    }
+
     #[inline]
     fn sample_1d(&self, u: f32) -> (f32, f32) {
         let (i, _, rest) = self.pieces.sample_discrete(u);

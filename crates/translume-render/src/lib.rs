@@ -22,8 +22,12 @@ pub mod light;
 mod material;
 mod medium;
 pub mod merge;
+pub mod photons;
 pub mod render;
 mod sampler;
+pub mod splat;
+pub mod subpath;
+pub mod tally;
 mod texture;
 mod world;
 

@@ -48,6 +48,18 @@ pub(crate) fn passes(scene: &Scene, id: MaterialId) -> (bool, bool) {
     }
 }
 
+/// Materials whose front and back differ by [`Model::TwoSided`].
+pub(crate) fn sided(scene: &Scene, id: MaterialId) -> bool {
+    match &scene.materials[id.0].model {
+        Model::TwoSided { .. } => true,
+        Model::Mask { nested, .. } | Model::BumpMap { nested, .. } | Model::NormalMap { nested, .. } => {
+            sided(scene, *nested)
+        }
+        Model::Blend { first, second, .. } => sided(scene, *first) || sided(scene, *second),
+        _ => false,
+    }
+}
+
 pub(crate) struct Shader<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) prepared: &'a [Prepared],

@@ -1,16 +1,21 @@
 //! The driver: tiles in parallel, pass after pass, until there are enough samples, the time is up, or someone says stop.
 
 use crate::camera::Camera;
-use crate::film::{Film, Tile};
+use crate::film::{Aov, Film, Tile};
 use crate::filter::FilterSampler;
-use crate::integrator::{self, Integrator, Work};
-use crate::{PathSampler, World};
+use crate::integrator::{self, Integrator, View, Work};
+use crate::splat::{Shared, Splats, Splatter};
+use crate::subpath::Density;
+use crate::tally::Tally;
+use crate::{PathSampler, Result, World};
 use glam::Vec2;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use translume_core::sampler::Sampler;
 use translume_scene::sensor::{Crop, Sensor};
+use translume_trace::Ray;
 
 /// A picture to take.
 pub struct Shot<'a> {
@@ -24,6 +29,7 @@ pub struct Shot<'a> {
     filter: FilterSampler,
     /// Upper left pixel of the part that is rendered, and the whole film's size.
     window: ([u32; 2], [u32; 2]),
+    tally: Mutex<Tally>,
 }
 
 /// When to stop.
@@ -40,6 +46,8 @@ pub struct Until {
 pub struct Progress {
     /// Samples per pixel so far, the fewest of any pixel.
     pub samples: u64,
+    /// Samples per pixel of this run, on average.
+    pub new_samples: f64,
     /// Rays traced by this run.
     pub rays: u64,
     /// Time spent by this run.
@@ -47,6 +55,9 @@ pub struct Progress {
     /// Fraction done, by samples or time.
     pub fraction: f64,
 }
+
+/// Shares of pixels that a tile keeps before it hands them on.
+const MOST_SHARES: usize = 1 << 16;
 
 /// The longest that a pass may take before someone is told how it goes.
 const PASS: Duration = Duration::from_millis(700);
@@ -70,7 +81,22 @@ impl<'a> Shot<'a> {
             camera: Camera::new(sensor, full),
             filter: FilterSampler::new(&sensor.film.filter),
             window: (window.offset, window.size),
+            tally: Mutex::default(),
         }
+    }
+
+    /// What the method counted so far, see [`Integrator::part`].
+    pub fn tally(&self) -> Tally {
+        self.tally.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// An empty film for this picture.
+    ///
+    /// # Errors
+    /// As [`Film::new`].
+    pub fn film(&self, aovs: &[Aov]) -> Result<Film> {
+        let film = Film::new(self.size(), aovs)?;
+        Ok(if self.integrator.splats() { film.with_splats() } else { film })
     }
 
     /// Width and height of the picture.
@@ -78,7 +104,7 @@ impl<'a> Shot<'a> {
         self.window.1
     }
 
-    /// Adds samples to `film` until `until` is reached or `stop` is set; `tell` hears how it goes, about once a second.
+    /// Adds samples to `film`, one of [`Shot::film`], until `until` is reached or `stop` is set; `tell` hears how it goes, about once a second.
     pub fn render(
         &self,
         film: &mut Film,
@@ -90,8 +116,9 @@ impl<'a> Shot<'a> {
         let rays = AtomicU64::new(0);
         let deadline = until.time.map(|t| start + t);
         let late = || deadline.is_some_and(|d| Instant::now() >= d);
-        let first = film.samples().0;
+        let (first, before) = (film.samples().0, film.mean_samples());
         let mut chunk = 1;
+        self.integrator.prepare(self.world, self.seed);
         loop {
             let done = film.samples().0;
             let elapsed = start.elapsed();
@@ -99,6 +126,7 @@ impl<'a> Shot<'a> {
             let by_time = until.time.map_or(0.0, |t| elapsed.as_secs_f64() / t.as_secs_f64().max(1e-9));
             let progress = Progress {
                 samples: done,
+                new_samples: film.mean_samples() - before,
                 rays: rays.load(Ordering::Relaxed),
                 elapsed,
                 fraction: by_samples.max(by_time).min(1.0),
@@ -110,15 +138,20 @@ impl<'a> Shot<'a> {
             if done >= until.samples || stopped || (done > 0 && late()) {
                 return progress;
             }
+            if let Some(n) = self.integrator.pass(self, film, stop, &late) {
+                rays.fetch_add(n, Ordering::Relaxed);
+                continue;
+            }
             let goal = (done + chunk).min(until.samples);
             let began = Instant::now();
             let aovs = film.aovs().to_vec();
             let features = integrator::wants_features(film);
+            let splats = film.splats.as_mut().map(Splats::shared);
             film.tiles.par_iter_mut().filter(|t| t.samples < goal).for_each(|tile| {
                 // A tile that has begun is finished, so that all its pixels have the same number of samples.
                 while tile.samples < goal && !stop.load(Ordering::Relaxed) && (tile.samples == 0 || !late()) {
                     let n = if deadline.is_some() { 1 } else { goal - tile.samples };
-                    rays.fetch_add(self.sample_tile(tile, &aovs, features, n), Ordering::Relaxed);
+                    rays.fetch_add(self.sample_tile(tile, &aovs, features, n, splats.as_ref()), Ordering::Relaxed);
                 }
             });
             let took = began.elapsed().as_secs_f64().max(1e-6);
@@ -127,29 +160,71 @@ impl<'a> Shot<'a> {
         }
     }
 
-    /// Gives each pixel of the tile `n` more samples; returns the rays.
-    fn sample_tile(&self, tile: &mut Tile, aovs: &[crate::film::Aov], features: bool, n: u64) -> u64 {
-        let mut rays = 0;
-        let (offset, _) = self.window;
+    /// The density of what the camera's ray meets.
+    pub(crate) fn camera_density(&self, ray: &Ray) -> Density {
+        let density = self.camera.density(ray.d, 1.0);
+        match self.camera.is_parallel() {
+            true => Density::Parallel(density),
+            false => Density::Angle { from: ray.o, pdf_w: density },
+        }
+    }
+
+    /// Adds what sample `sample` of each pixel of `tile` meets first to the feature images.
+    pub(crate) fn add_features(&self, tile: &mut Tile, aovs: &[Aov], sample: u64) {
+        if aovs.iter().all(|a| *a == Aov::Variance) {
+            return;
+        }
         for i in 0..tile.sums.len() {
-            let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
-            let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
-            // The stream is the place on the film, so that a crop has the pixels of the whole.
-            let stream = u64::from(y) << 32 | u64::from(x);
+            let (_, ray, _) = self.camera_path(tile, i, sample);
+            if let Some(f) = integrator::features(self.world, &ray) {
+                tile.add_features(aovs, i, &f);
+            }
+        }
+    }
+
+    /// The camera path of sample `sample` of pixel `i` of `tile`: its random numbers, its first ray and the filter's weight.
+    pub(crate) fn camera_path(&self, tile: &Tile, i: usize, sample: u64) -> (PathSampler, Ray, f32) {
+        let (offset, _) = self.window;
+        let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
+        let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
+        // The stream is the place on the film, so that a crop has the pixels of the whole.
+        let mut sampler = PathSampler::new(self.seed, u64::from(y) << 32 | u64::from(x), sample);
+        let (shift, weight) = self.filter.sample(sampler.next_2d());
+        let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
+        let ray = self.camera.ray(film, sampler.next_2d());
+        (sampler, ray, weight)
+    }
+
+    /// Gives each pixel of the tile `n` more samples; returns the rays.
+    fn sample_tile(&self, tile: &mut Tile, aovs: &[Aov], features: bool, n: u64, splats: Option<&Shared>) -> u64 {
+        let (_, [w, h]) = self.window;
+        let view = View { camera: &self.camera, margin: self.filter.margin(), pixels: w as f32 * h as f32 };
+        let splatter = Splatter { filter: &self.filter, window: self.window };
+        let sampler = PathSampler::new(self.seed, 0, 0);
+        let mut work = Work { sampler, rays: 0, view, splats: Vec::new(), tally: Tally::default() };
+        let mut shares = Vec::new();
+        for i in 0..tile.sums.len() {
             for sample in tile.samples..tile.samples + n {
-                let mut work = Work { sampler: PathSampler::new(self.seed, stream, sample), rays: 0 };
-                let (shift, weight) = self.filter.sample(work.sampler.next_2d());
-                let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
-                let ray = self.camera.ray(film, work.sampler.next_2d());
+                let (sampler, ray, weight) = self.camera_path(tile, i, sample);
+                work.sampler = sampler;
                 if features && let Some(f) = integrator::features(self.world, &ray) {
                     tile.add_features(aovs, i, &f);
                 }
                 tile.add(i, self.integrator.radiance(self.world, &ray, &mut work) * weight);
-                rays += work.rays;
+                if let Some(splats) = splats {
+                    tile.broken += splatter.spread(&mut work.splats, &mut shares);
+                    if shares.len() >= MOST_SHARES {
+                        splats.add(&mut shares);
+                    }
+                }
             }
         }
+        if let Some(splats) = splats {
+            splats.add(&mut shares);
+        }
         tile.samples += n;
-        rays
+        self.tally.lock().unwrap_or_else(PoisonError::into_inner).add_all(&work.tally);
+        work.rays
     }
 }
 

@@ -15,6 +15,7 @@ pub struct PathSampler {
     sobol: Sobol,
     rng: Pcg32,
     used: u32,
+    key: (u64, u64, u64),
 }
 
 impl PathSampler {
@@ -22,7 +23,14 @@ impl PathSampler {
     pub fn new(seed: u64, stream: u64, index: u64) -> Self {
         // Samples of one stream differ in the state, streams in the sequence.
         let state = seed ^ index.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        Self { sobol: Sobol::new(seed, stream, index), rng: Pcg32::new(state, stream), used: 0 }
+        let key = (seed, stream, index);
+        Self { sobol: Sobol::new(seed, stream, index), rng: Pcg32::new(state, stream), used: 0, key }
+    }
+
+    /// Other numbers for the same sample, independent of these: `number` tells branches apart.
+    pub fn branch(&self, number: u64) -> Self {
+        let (seed, stream, index) = self.key;
+        Self::new(seed ^ (number + 1).wrapping_mul(0xd1b5_4a32_d192_ed03), stream, index)
     }
 }
 

@@ -1,121 +1,22 @@
 //! Pictures whose values are known: furnaces, lights over planes, slabs; and the promises about seeds, threads and halves.
 
+mod common;
+
+use common::*;
 use glam::{DAffine3, DVec3, Vec3};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use translume_bxdf::{Phase, Rgb};
 use translume_core::stats;
-use translume_mesh::TriMesh;
 use translume_render::film::{Aov, Film};
-use translume_render::integrator::{self, Settings};
+use translume_render::integrator;
 use translume_render::render::{Shot, Until};
 use translume_render::{World, checkpoint, fingerprint};
 use translume_scene::emitter::Emitter;
-use translume_scene::material::{Dielectric, Material, Model};
+use translume_scene::material::{Dielectric, Model};
 use translume_scene::medium::{Grid, Medium, Samples, Volume};
-use translume_scene::sensor::{Film as FilmSize, Perspective, PixelFilter, Projection, Sensor};
-use translume_scene::texture::{Filter, Texture};
-use translume_scene::{Geometry, MaterialId, MediumId, Scene, Shape, TextureId};
-
-/// Scenes are put together by hand here.
-#[derive(Default)]
-struct Maker(Scene);
-
-impl Maker {
-    fn gray(&mut self, v: f32) -> TextureId {
-        self.0.textures.push(Texture::Constant(Rgb::splat(v)));
-        TextureId(self.0.textures.len() - 1)
-    }
-
-    fn material(&mut self, model: Model) -> MaterialId {
-        self.0.materials.push(Material { name: String::new(), model });
-        MaterialId(self.0.materials.len() - 1)
-    }
-
-    fn diffuse(&mut self, albedo: f32) -> MaterialId {
-        let reflectance = self.gray(albedo);
-        self.material(Model::Diffuse { reflectance })
-    }
-
-    fn shape(&mut self, geometry: Geometry, world_from_object: DAffine3, material: MaterialId) -> &mut Shape {
-        self.0.shapes.push(Shape {
-            name: String::new(),
-            geometry,
-            world_from_object,
-            flip_normals: false,
-            material,
-            radiance: None,
-            interior: None,
-            exterior: None,
-        });
-        self.0.shapes.last_mut().unwrap()
-    }
-
-    /// A camera at `eye` that looks at `target` through a small opening.
-    fn camera(&mut self, eye: DVec3, target: DVec3, fov: f32) {
-        let z = (target - eye).normalize();
-        let x = z.any_orthonormal_vector();
-        let world_from_camera = DAffine3::from_mat3_translation(glam::DMat3::from_cols(x, z.cross(x), z), eye);
-        self.0.sensors.push(Sensor {
-            name: String::new(),
-            world_from_camera,
-            projection: Projection::Perspective(Perspective {
-                fov,
-                fov_axis: Default::default(),
-                principal_point_offset: [0.0; 2],
-            }),
-            near_clip: 1e-3,
-            far_clip: 1e6,
-            film: FilmSize { size: [8, 8], crop: None, filter: PixelFilter::Box { radius: 0.5 } },
-            sample_count: None,
-            medium: None,
-        });
-    }
-
-    fn constant(&mut self, radiance: f32) {
-        self.0.emitters.push(Emitter::Constant { radiance: Rgb::splat(radiance) });
-    }
-
-    fn sphere(&mut self, center: DVec3, radius: f64, material: MaterialId) -> &mut Shape {
-        self.shape(Geometry::Sphere { center, radius }, DAffine3::IDENTITY, material)
-    }
-
-    /// A square of half edge `size` at height `z`, facing up.
-    fn square(&mut self, size: f32, z: f32, material: MaterialId) -> &mut Shape {
-        let mesh = TriMesh {
-            positions: vec![[-size, -size, z], [size, -size, z], [size, size, z], [-size, size, z]],
-            indices: vec![[0, 1, 2], [0, 2, 3]],
-            ..Default::default()
-        };
-        self.shape(Geometry::Mesh(Arc::new(mesh)), DAffine3::IDENTITY, material)
-    }
-}
-
-const UNLIMITED: Settings = Settings { max_depth: None, rr_depth: 5, hide_emitters: false, camera_medium: None };
-
-fn film(scene: &Scene, method: &str, settings: Settings, spp: u64, seed: u64) -> Film {
-    let world = World::new(Arc::new(scene.clone())).unwrap();
-    let integrator = integrator::by_name(method, settings).unwrap();
-    let shot = Shot::new(&world, &*integrator, &scene.sensors[0], None, seed);
-    let mut film = Film::new(shot.size(), &[Aov::Variance]).unwrap();
-    shot.render(&mut film, &Until { samples: spp, time: None }, &AtomicBool::new(false), &mut |_, _| {});
-    assert_eq!(film.broken(), 0);
-    film
-}
-
-/// Mean of the picture's green and its standard error.
-fn mean(film: &Film) -> (f64, f64) {
-    let channels = film.channels();
-    let plane = |name: &str| channels.iter().find(|c| c.0 == name).unwrap().1.iter().map(|&v| f64::from(v));
-    let n = plane("G").count() as f64;
-    (plane("G").sum::<f64>() / n, plane("Variance.G").sum::<f64>().sqrt() / n)
-}
-
-#[track_caller]
-fn expect(film: &Film, expected: f64, slack: f64) {
-    let (mean, error) = mean(film);
-    assert!((mean - expected).abs() < 4.0 * error + slack, "{mean} ± {error} instead of {expected}");
-}
+use translume_scene::texture::Filter;
+use translume_scene::{MediumId, Scene};
 
 #[test]
 fn furnaces_are_white() {
@@ -250,27 +151,8 @@ fn media_in_a_furnace() {
     }
 }
 
-/// A box with a light, something glossy and a mirror: nothing analytic, for comparisons.
-fn room() -> Scene {
-    let mut m = Maker::default();
-    let (gray, black, glow) = (m.diffuse(0.6), m.diffuse(0.0), m.gray(5.0));
-    m.square(3.0, 0.0, gray);
-    m.sphere(DVec3::new(-0.7, 0.2, 0.6), 0.6, gray);
-    m.sphere(DVec3::new(0.8, 0.0, 1.8), 0.3, black).radiance = Some(glow);
-    let light = m.square(0.4, 3.0, black);
-    (light.radiance, light.flip_normals) = (Some(glow), true);
-    m.camera(DVec3::new(3.0, -3.0, 2.5), DVec3::new(0.0, 0.0, 0.5), 0.7);
-    m.0
-}
-
 #[test]
 fn methods_agree_and_halves_differ_by_noise_alone() {
-    let estimates = |film: &Film| -> Vec<stats::Estimate> {
-        let channels = film.channels();
-        let plane = |name: &str| &channels.iter().find(|c| c.0 == name).unwrap().1;
-        let pairs = plane("G").iter().zip(plane("Variance.G"));
-        pairs.map(|(&m, &v)| stats::Estimate { mean: m.into(), variance: v.into() }).collect()
-    };
     let scene = room();
     let a = estimates(&film(&scene, "path", UNLIMITED, 512, 11));
     let b = estimates(&film(&scene, "path", UNLIMITED, 512, 12));
@@ -335,7 +217,7 @@ fn importance_is_that_of_the_rays() {
     let mut sum = 0.0_f64;
     for _ in 0..n {
         let p = Vec3::new((rng.next_f32() - 0.5) * size, 3.0, (rng.next_f32() - 0.5) * size);
-        if let Some(s) = camera.sample_importance(p, glam::Vec2::ZERO) {
+        if let Some(s) = camera.sample_importance(p, glam::Vec2::ZERO, 0.0) {
             let ray = camera.ray(s.film, glam::Vec2::ZERO);
             assert!((ray.d + s.wi).length() < 1e-4, "{} {}", ray.d, s.wi);
             sum += f64::from(s.weight * s.wi.y.abs());

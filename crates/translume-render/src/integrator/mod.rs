@@ -1,14 +1,26 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
+mod bdpt;
+pub mod gkernel;
 mod path;
+mod photonmap;
 mod volpath;
 
+use crate::camera::Camera;
 use crate::film::{Features, Film};
-use crate::{PathSampler, Rgb, World};
+use crate::render::Shot;
+use crate::splat::Splat;
+use crate::tally::Tally;
+use crate::{Error, PathSampler, Result, Rgb, World};
+use std::ops::RangeInclusive;
+use std::sync::atomic::AtomicBool;
 use translume_scene::MediumId;
 use translume_trace::Ray;
 
+pub use bdpt::Bdpt;
+pub use gkernel::GKernel;
 pub use path::Path;
+pub use photonmap::PhotonMapping;
 pub use volpath::Volpath;
 
 /// What every method takes from the scene or the user.
@@ -25,17 +37,117 @@ pub struct Settings {
 }
 
 /// What a thread works with.
-pub struct Work {
+pub struct Work<'a> {
     /// Random numbers of the sample at hand.
     pub sampler: PathSampler,
     /// Rays traced so far.
     pub rays: u64,
+    /// The picture.
+    pub view: View<'a>,
+    /// Light that the sample's light path brings to the film, for methods that splat.
+    pub splats: Vec<Splat>,
+    /// Counts, for methods that tell of their parts.
+    pub tally: Tally,
 }
 
-/// A method that renders pixels independently of each other.
+/// The picture that is taken.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    /// By which camera.
+    pub camera: &'a Camera,
+    /// Pixels beyond the border of the film whose light counts.
+    pub margin: f32,
+    /// Pixels of the part that is rendered: light paths per sample of a pixel.
+    pub pixels: f32,
+}
+
+/// A method of rendering: called once per sample of each pixel.
 pub trait Integrator: Send + Sync {
-    /// One unbiased estimate of the radiance that arrives along `ray`.
-    fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb;
+    /// One estimate of the radiance that arrives along `ray`; what reaches other pixels goes to [`Work::splats`].
+    fn radiance(&self, _world: &World, _ray: &Ray, _work: &mut Work) -> Rgb {
+        Rgb::ZERO
+    }
+
+    /// For methods that work on the whole picture at once, which have no [`Integrator::radiance`]: adds a sample to every
+    /// pixel, as far as neither `stop` nor `late` ends it (the first sample is finished in any case), and returns the rays.
+    fn pass(&self, _shot: &Shot, _film: &mut Film, _stop: &AtomicBool, _late: &dyn Fn() -> bool) -> Option<u64> {
+        None
+    }
+
+    /// Whether the method splats: the film must be [`Film::with_splats`].
+    fn splats(&self) -> bool {
+        false
+    }
+
+    /// Whether the method can render this scene; to be asked before the first sample.
+    ///
+    /// # Errors
+    /// [`crate::Error::Scene`].
+    fn check(&self, _world: &World) -> Result<()> {
+        Ok(())
+    }
+
+    /// Called when a render begins, before the first sample: what is computed once for a picture.
+    fn prepare(&self, _world: &World, _seed: u64) {}
+
+    /// Names of the parts that [`Work::tally`] counts: of the number `part`.
+    fn part(&self, part: usize) -> String {
+        part.to_string()
+    }
+
+    /// Numbers about the work that was done once, with their names.
+    fn facts(&self) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+}
+
+/// An option of a method.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice {
+    /// Its name.
+    pub name: &'static str,
+    /// Its value when nothing is said.
+    pub default: &'static str,
+    /// One line about it.
+    pub about: &'static str,
+}
+
+/// Values of a method's options.
+pub struct Options<'a> {
+    method: &'static str,
+    known: &'static [Choice],
+    given: &'a [(String, String)],
+}
+
+impl Options<'_> {
+    /// The value of an option of the method's table; the last one given counts.
+    fn value(&self, name: &str) -> &str {
+        let given = self.given.iter().rev().find(|g| g.0 == name).map(|g| g.1.as_str());
+        given.or(self.known.iter().find(|k| k.name == name).map(|k| k.default)).unwrap_or_default()
+    }
+
+    fn wrong<T>(&self, name: &str, wanted: &str) -> Result<T> {
+        let (method, value) = (self.method, self.value(name));
+        Err(Error::Mismatch(format!("option {name}={value} of {method}: {wanted} is wanted")))
+    }
+
+    fn number(&self, name: &str, range: RangeInclusive<u64>) -> Result<u64> {
+        match self.value(name).parse() {
+            Ok(n) if range.contains(&n) => Ok(n),
+            _ => self.wrong(name, &format!("a whole number from {} to {}", range.start(), range.end())),
+        }
+    }
+
+    fn choice<const N: usize>(&self, name: &str, of: [&str; N]) -> Result<usize> {
+        match of.iter().position(|o| *o == self.value(name)) {
+            Some(i) => Ok(i),
+            None => self.wrong(name, &of.join(" or ")),
+        }
+    }
+
+    fn switch(&self, name: &str) -> Result<bool> {
+        Ok(self.choice(name, ["false", "true"])? == 1)
+    }
 }
 
 /// A row of [`INTEGRATORS`].
@@ -44,26 +156,71 @@ pub struct Entry {
     pub name: &'static str,
     /// One line about it.
     pub about: &'static str,
-    make: fn(Settings) -> Box<dyn Integrator>,
+    /// Its options.
+    pub options: &'static [Choice],
+    make: fn(Settings, &Options) -> Result<Box<dyn Integrator>>,
 }
 
 /// All methods.
-pub const INTEGRATORS: [Entry; 2] = [
+pub const INTEGRATORS: [Entry; 5] = [
     Entry {
         name: "path",
         about: "path tracing with emitter sampling; media are not seen",
-        make: |settings| Box::new(Path::new(settings)),
+        options: &[],
+        make: |settings, _| Ok(Box::new(Path::new(settings))),
     },
     Entry {
         name: "volpath",
         about: "path tracing through participating media",
-        make: |settings| Box::new(Volpath::new(settings)),
+        options: &[],
+        make: |settings, _| Ok(Box::new(Volpath::new(settings))),
+    },
+    Entry {
+        name: "bdpt",
+        about: "bidirectional path tracing; no media",
+        options: &[],
+        make: |settings, _| Ok(Box::new(Bdpt::new(settings))),
+    },
+    Entry {
+        name: "photonmap",
+        about: "photon mapping (biased); no media",
+        options: &[
+            Choice { name: "photons", default: "500000", about: "light paths that are traced" },
+            Choice { name: "neighbours", default: "50", about: "nearest photons of an estimate" },
+            Choice { name: "gather", default: "true", about: "follow one more direction before estimating" },
+            Choice { name: "direct", default: "sample", about: "direct light: `sample`, or `map` with gather=false" },
+        ],
+        make: |settings, options| Ok(Box::new(PhotonMapping::new(settings, options)?)),
+    },
+    Entry {
+        name: "gkernel",
+        about: "the generalized kernel method, for many lights (nearly unbiased); no media",
+        options: &[
+            Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
+            Choice { name: "printed", default: "false", about: "the method as in the paper of 2003, darker at edges" },
+        ],
+        make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
     },
 ];
 
-/// The method called `name`.
+/// The method called `name`, with its options as they are when nothing is said.
 pub fn by_name(name: &str, settings: Settings) -> Option<Box<dyn Integrator>> {
-    INTEGRATORS.iter().find(|e| e.name == name).map(|e| (e.make)(settings))
+    with_options(name, settings, &[]).ok()
+}
+
+/// The method called `name`, with `options` by their names.
+///
+/// # Errors
+/// [`Error::Mismatch`] for names that are not known and values that are none.
+pub fn with_options(name: &str, settings: Settings, options: &[(String, String)]) -> Result<Box<dyn Integrator>> {
+    let entry = INTEGRATORS.iter().find(|e| e.name == name);
+    let entry = entry.ok_or_else(|| Error::Mismatch(format!("there is no method `{name}`")))?;
+    if let Some((unknown, _)) = options.iter().find(|o| entry.options.iter().all(|k| k.name != o.0)) {
+        let known: Vec<&str> = entry.options.iter().map(|k| k.name).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        return Err(Error::Mismatch(format!("{name} has no option `{unknown}`; it has: {known}")));
+    }
+    (entry.make)(settings, &Options { method: entry.name, known: entry.options, given: options })
 }
 
 /// What the camera ray meets first, for feature images.

@@ -73,6 +73,75 @@ pub struct LightStart {
     pub pdf_w: f32,
     /// Number of the light.
     pub light: usize,
+    /// The light has no extent: no other way of sampling finds it.
+    pub delta: bool,
+}
+
+/// A point of a light, or a direction to one that is infinitely far: where a light path would begin.
+#[derive(Clone, Copy, Debug)]
+pub struct LightPoint {
+    /// Number of the light.
+    pub light: usize,
+    /// Its place; of no meaning for lights far away.
+    pub p: Vec3,
+    /// The normal there; zero for lights without a surface.
+    pub n: Vec3,
+    /// Infinitely far away.
+    pub far: bool,
+}
+
+impl LightPoint {
+    /// A density per solid angle of directions to this point, from a point `distance` away along `wi`, as density of the
+    /// point itself: per area on surfaces; without extent or far away it stays what it is.
+    #[inline]
+    pub fn from_solid_angle(&self, pdf_w: f32, wi: Vec3, distance: f32) -> f32 {
+        if self.far || self.n == Vec3::ZERO { pdf_w } else { pdf_w * self.n.dot(wi).abs() / (distance * distance) }
+    }
+}
+
+impl LightStart {
+    /// Where the path begins.
+    pub fn point(&self) -> LightPoint {
+        let far = matches!(self.origin, End::Far);
+        let n = if matches!(self.origin, End::Surface(_)) { self.n } else { Vec3::ZERO };
+        LightPoint { light: self.light, p: self.p, n, far }
+    }
+
+    /// Density of the begin, choice included: of the place per area, of far lights of the direction per solid angle; of
+    /// lights without extent the probability.
+    pub fn pdf_begin(&self) -> f32 {
+        self.choice * if matches!(self.origin, End::Far) { self.pdf_w } else { self.pdf_a }
+    }
+
+    /// Density of what follows: of the direction per solid angle, of far lights of the place per area perpendicular to it.
+    pub fn pdf_next(&self) -> f32 {
+        if matches!(self.origin, End::Far) { self.pdf_a } else { self.pdf_w }
+    }
+
+    /// Flux of the path: radiance and cosine over the density.
+    pub fn throughput(&self) -> Rgb {
+        let cos = if matches!(self.origin, End::Surface(_)) { self.n.dot(self.direction).abs() } else { 1.0 };
+        self.radiance * (cos / (self.choice * self.pdf_a * self.pdf_w))
+    }
+
+    /// The path's first ray.
+    pub fn ray(&self) -> translume_trace::Ray {
+        match &self.origin {
+            End::Surface(point) => point.spawn(self.direction),
+            _ => translume_trace::Ray::new(self.p, self.direction),
+        }
+    }
+}
+
+/// One infinitely far light in some direction.
+#[derive(Clone, Copy, Debug)]
+pub struct FarLight {
+    /// Number of the light.
+    pub light: usize,
+    /// Radiance from there.
+    pub radiance: Rgb,
+    /// Density per solid angle with which [`Lights::sample`] draws the direction, choice included.
+    pub pdf_w: f32,
 }
 
 /// A light.
@@ -146,6 +215,19 @@ impl Lights {
     /// the light that was chosen does not shine here.
     #[inline]
     pub fn sample(&self, scene: &Scene, p: Vec3, n: Vec3, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        Some(self.sample_numbered(scene, p, n, u_choice, u)?.1)
+    }
+
+    /// The same with the light's number.
+    #[inline]
+    pub fn sample_numbered(
+        &self,
+        scene: &Scene,
+        p: Vec3,
+        n: Vec3,
+        u_choice: f32,
+        u: Vec2,
+    ) -> Option<(usize, LightSample)> {
         if self.is_empty() {
             return None;
         }
@@ -174,7 +256,57 @@ impl Lights {
             },
         };
         sample.pdf_w *= choice;
-        (sample.pdf_w > 0.0 && sample.pdf_w.is_finite() && sample.radiance != Rgb::ZERO).then_some(sample)
+        (sample.pdf_w > 0.0 && sample.pdf_w.is_finite() && sample.radiance != Rgb::ZERO).then_some((index, sample))
+    }
+
+    /// Density of [`Lights::sample`] at (`p`, `n`) for the point `q` of a light, which lies along `wi`: per area of the
+    /// light's surface; for far lights per solid angle; for lights without extent the probability.
+    pub fn pdf_direct(&self, p: Vec3, n: Vec3, q: &LightPoint, wi: Vec3) -> f32 {
+        let near = 1.0 - self.far_share();
+        let far = if self.far.contains(&q.light) { self.far_share() / self.far.len() as f32 } else { 0.0 };
+        match &self.lights[q.light] {
+            Light::Shape(_) => q.from_solid_angle(self.pdf_surface(p, n, q.light, q.p, q.n), wi, (q.p - p).length()),
+            Light::Point(_) => near * self.tree.probability(p, n, q.light),
+            Light::Directional { .. } => far,
+            Light::Environment(e) => far * e.eval_pdf(wi).1,
+            Light::Constant { .. } => far * warp::UNIFORM_SPHERE_PDF,
+        }
+    }
+
+    /// Densities of [`Lights::start`] for the begin `q` and the direction `d` of travel, as [`LightStart::pdf_begin`] and
+    /// [`LightStart::pdf_next`] have them.
+    pub fn pdf_start(&self, q: &LightPoint, d: Vec3) -> (f32, f32) {
+        let choice = self.start_probability(q.light);
+        let disk = 1.0 / (PI * self.radius * self.radius);
+        match &self.lights[q.light] {
+            Light::Shape(s) => (choice * s.pdf_a(q.p), q.n.dot(d).max(0.0) / PI),
+            Light::Point(s) => (choice, s.pdf_w(d)),
+            Light::Directional { .. } => (choice, disk),
+            Light::Environment(e) => (choice * e.eval_pdf(-d).1, disk),
+            Light::Constant { .. } => (choice * warp::UNIFORM_SPHERE_PDF, disk),
+        }
+    }
+
+    /// Radiance (points: intensity) that the light of `start` sends from there along `d`; nothing behind its surface.
+    pub fn emitted(&self, scene: &Scene, start: &LightStart, d: Vec3) -> Rgb {
+        match &self.lights[start.light] {
+            Light::Point(s) => s.intensity(scene, d),
+            Light::Shape(_) if start.n.dot(d) <= 0.0 => Rgb::ZERO,
+            _ => start.radiance,
+        }
+    }
+
+    /// The infinitely far lights with extent, each as seen along `d`.
+    pub fn far_lights(&self, d: Vec3) -> impl Iterator<Item = FarLight> {
+        let chance = self.far_share() / self.far.len().max(1) as f32;
+        self.far.iter().filter_map(move |&light| {
+            let (radiance, pdf_w) = match &self.lights[light] {
+                Light::Environment(e) => e.eval_pdf(d),
+                Light::Constant { radiance } => (*radiance, warp::UNIFORM_SPHERE_PDF),
+                _ => return None,
+            };
+            Some(FarLight { light, radiance, pdf_w: pdf_w * chance })
+        })
     }
 
     /// Density with which [`Lights::sample`] at (`p`, `n`) draws the direction to the point `q` of light `light`, whose
@@ -210,7 +342,9 @@ impl Lights {
         let start = match &self.lights[light] {
             Light::Shape(s) => s.start(scene, u, v),
             Light::Point(s) => s.start(scene, u),
-            Light::Directional { direction, irradiance } => self.start_from_far(*direction, *irradiance, 1.0, v),
+            Light::Directional { direction, irradiance } => {
+                self.start_from_far(*direction, *irradiance, 1.0, v).map(|s| LightStart { delta: true, ..s })
+            }
             Light::Environment(e) => {
                 let s = e.sample(u)?;
                 self.start_from_far(-s.wi, s.radiance, s.pdf_w, v)
@@ -219,7 +353,8 @@ impl Lights {
                 self.start_from_far(warp::uniform_sphere(u.x, u.y), *radiance, warp::UNIFORM_SPHERE_PDF, v)
             }
         }?;
-        Some(LightStart { choice, light, ..start })
+        let start = LightStart { choice, light, ..start };
+        (choice > 0.0 && start.pdf_w > 0.0 && start.radiance != Rgb::ZERO).then_some(start)
     }
 
     /// Chance that [`Lights::start`] chooses `light`.
@@ -241,6 +376,7 @@ impl Lights {
             pdf_a: 1.0 / (PI * self.radius * self.radius),
             pdf_w,
             light: 0,
+            delta: false,
         })
     }
 }

@@ -78,7 +78,7 @@ impl PointLight {
     }
 
     /// Power per solid angle towards the unit direction `d`.
-    fn intensity(&self, scene: &Scene, d: Vec3) -> Rgb {
+    pub(crate) fn intensity(&self, scene: &Scene, d: Vec3) -> Rgb {
         let local = (self.light_from_world * d).normalize();
         match &self.kind {
             Kind::Point(intensity) => *intensity,
@@ -123,7 +123,18 @@ impl PointLight {
             pdf_a: 1.0,
             pdf_w,
             light: 0,
+            delta: true,
         })
+    }
+
+    /// Density of [`PointLight::start`] for the direction `d`.
+    pub(crate) fn pdf_w(&self, d: Vec3) -> f32 {
+        let cos_max = self.theta.cos();
+        match self.theta >= PI {
+            true => warp::UNIFORM_SPHERE_PDF,
+            false if d.dot(self.axis) >= cos_max => warp::uniform_cone_pdf(cos_max),
+            false => 0.0,
+        }
     }
 }
 

@@ -119,7 +119,7 @@ impl ShapeLight {
     }
 
     /// Density of places per area, at the point `q`.
-    fn pdf_a(&self, q: Vec3) -> f32 {
+    pub(crate) fn pdf_a(&self, q: Vec3) -> f32 {
         match &self.form {
             Form::Triangle { area, .. } => 1.0 / area,
             Form::Sphere { radius, .. } => 1.0 / (2.0 * TAU * radius * radius),
@@ -174,6 +174,7 @@ impl ShapeLight {
             pdf_a,
             pdf_w,
             light: 0,
+            delta: false,
         })
     }
 }

@@ -5,7 +5,7 @@
 
 use super::{Form, Surface, World};
 use crate::light::{Faces, Lights, MeshLight, Quadric, ShapeForm, ShapeLight, bright_normal};
-use crate::material::{mean_luminance, passes, prepare};
+use crate::material::{mean_luminance, passes, prepare, sided};
 use crate::medium::Tracked;
 use crate::texture;
 use crate::{Result, luminance};
@@ -315,6 +315,7 @@ fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -
         form,
         material: shape.material,
         passes: passes(scene, shape.material),
+        sided: sided(scene, shape.material),
         radiance: shape.radiance,
         first_light,
         one_light: false,

@@ -69,11 +69,11 @@ impl Shading<'_> {
     /// Value times the cosine of `wi`, and density per solid angle of `wi`.
     #[inline]
     pub fn eval_cos_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {
-        let local = self.to_local(wi);
-        if self.is_cut(wi, local) {
+        let (local_o, local) = (self.to_local(wo), self.to_local(wi));
+        if if mode == Mode::Radiance { self.is_cut(wi, local) } else { self.is_cut(wo, local_o) } {
             return (Rgb::ZERO, 0.0);
         }
-        let (f, pdf_w) = self.bsdf.eval_pdf(self.to_local(wo), local, mode);
+        let (f, pdf_w) = self.bsdf.eval_pdf(local_o, local, mode);
         (f * local.z.abs(), pdf_w)
     }
 
@@ -87,14 +87,14 @@ impl Shading<'_> {
             sample.wi = -wo;
             return Some(sample);
         }
-        if self.is_cut(wi, sample.wi) {
+        if if mode == Mode::Radiance { self.is_cut(wi, sample.wi) } else { self.is_cut(wo, self.to_local(wo)) } {
             return None;
         }
         sample.wi = wi;
         Some(sample)
     }
 
-    /// Directions that a bent normal has on the other side than the surface's own: they would leak light.
+    /// Directions of light that a bent normal has on the other side than the surface's own: they would leak light.
     #[inline]
     fn is_cut(&self, wi: Vec3, local: Vec3) -> bool {
         self.unbent.is_some_and(|n| n.dot(wi) * local.z <= 0.0)

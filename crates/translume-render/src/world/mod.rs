@@ -3,6 +3,7 @@
 mod build;
 mod hit;
 
+use crate::camera::CameraSample;
 use crate::light::{End, Lights, light_of};
 use crate::material::{Prepared, Shader};
 use crate::medium::Tracked;
@@ -43,6 +44,8 @@ pub(crate) struct Surface {
     material: MaterialId,
     /// Light may pass the surface straight; in any way.
     passes: (bool, bool),
+    /// What the surface does depends on the side that it is seen from.
+    sided: bool,
     radiance: Option<TextureId>,
     /// Number of the light that the first primitive is.
     pub(crate) first_light: Option<u32>,
@@ -116,6 +119,48 @@ impl World {
         let shader = Shader { scene: &self.scene, prepared: &self.prepared, place: hit.place() };
         let bsdf = shader.bsdf(surface.material, &mut hit);
         Shading { bsdf, frame: hit.frame, unbent: hit.unbent }
+    }
+
+    /// What [`World::shading`] is when the surface is seen from the direction `wo` instead; `own` is that of `hit` itself.
+    #[inline]
+    pub fn shading_from<'a>(&'a self, hit: &SurfaceHit, own: &Shading<'a>, wo: Vec3) -> Shading<'a> {
+        match self.surfaces[hit.surface as usize].sided {
+            true => self.shading(&SurfaceHit { wo, ..*hit }),
+            false => own.clone(),
+        }
+    }
+
+    /// Whether any surface has a medium on one of its sides.
+    pub fn has_media(&self) -> bool {
+        self.surfaces.iter().any(|s| s.interior.is_some() || s.exterior.is_some())
+    }
+
+    /// Whether the surface at `hit` is a light's.
+    pub fn is_light(&self, hit: &SurfaceHit) -> bool {
+        self.surfaces[hit.surface as usize].radiance.is_some()
+    }
+
+    /// What of the light that leaves `hit` for the camera gets there, past at most `most` surfaces that let it pass. With
+    /// `hide_lights`, lights are not there for the camera's rays, up to the first such surface.
+    pub fn transmittance_to_camera(
+        &self,
+        camera: &CameraSample,
+        hit: &SurfaceHit,
+        hide_lights: bool,
+        most: u32,
+    ) -> Rgb {
+        let d = hit.point.origin_towards(camera.wi) - camera.near;
+        let mut ray = Ray { o: camera.near, d, t_min: 0.0, t_max: 1.0 };
+        if !hide_lights {
+            return self.transmittance(&ray, most);
+        }
+        while let Some(found) = self.intersect(&ray) {
+            if !self.is_light(&found) {
+                return self.transmittance(&ray, most);
+            }
+            ray = found.go_on(&ray);
+        }
+        if self.is_light(hit) { Rgb::ZERO } else { Rgb::ONE }
     }
 
     /// Radiance that the surface at `hit` emits towards `hit.wo`, and the light's number.

@@ -3,7 +3,7 @@
 use crate::cli::Usage;
 use crate::output::Context;
 use anyhow::{Context as _, anyhow};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +12,7 @@ use translume_image::colour::linear_to_srgb;
 use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
 use translume_render::checkpoint::{self, Identity};
 use translume_render::film::{Aov, Film};
-use translume_render::integrator::{self, INTEGRATORS, Settings};
+use translume_render::integrator::{self, INTEGRATORS, Integrator, Settings};
 use translume_render::render::{Progress, Shot, Until};
 use translume_render::{World, fingerprint};
 use translume_scene::{LoadOptions, Scene};
@@ -24,6 +24,15 @@ Examples:
 
   For one minute, with a preview to look at meanwhile:
     translume render scene.xml -o out.exr --time 60s --preview now.png
+
+  Caustics through glass, by all strategies from both ends:
+    translume render scene.xml -o out.exr --integrator bdpt --spp 256
+
+  By photon mapping, everything as it is in the map:
+    translume render scene.xml -o out.exr --integrator photonmap --option gather=false --option direct=map
+
+  Many lights in many rooms, by the generalized kernel method:
+    translume render scene.xml -o out.exr --integrator gkernel --spp 16
 
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
@@ -46,6 +55,9 @@ pub(crate) struct Args {
     /// The method [default: the scene's, or path]
     #[arg(long, value_name = "NAME", value_parser = integrator_names())]
     integrator: Option<String>,
+    #[arg(short = 'O', long = "option", value_name = "NAME=VALUE", value_parser = parse_define, help = "An option of the method",
+        long_help = options_help())]
+    options: Vec<(String, String)>,
     /// Stop after this time (such as 90s, 5m, 2h)
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
@@ -83,6 +95,16 @@ pub(crate) struct Args {
 
 fn integrator_names() -> clap::builder::PossibleValuesParser {
     INTEGRATORS.iter().map(|e| clap::builder::PossibleValue::new(e.name).help(e.about)).collect::<Vec<_>>().into()
+}
+
+fn options_help() -> String {
+    let mut text = "An option of the method; these there are:".to_owned();
+    for entry in &INTEGRATORS {
+        for o in entry.options {
+            text += &format!("\n  {} {}={}: {}", entry.name, o.name, o.default, o.about);
+        }
+    }
+    text
 }
 
 fn aov_names() -> clap::builder::PossibleValuesParser {
@@ -123,20 +145,44 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
     let (name, settings) = method(&args, &scene, ctx);
-    let integrator = integrator::by_name(&name, settings).ok_or_else(|| anyhow!("no integrator {name}"))?;
+    let integrator =
+        integrator::with_options(&name, settings, &args.options).map_err(|e| Usage(format!("--option: {e}")))?;
+    integrator.check(&world).with_context(|| args.scene.display().to_string())?;
     let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
     let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| args.aov.iter().any(|a| a == n.0)).map(|n| n.1).collect();
-    let mut film = Film::new(shot.size(), &aovs)?;
+    let mut film = shot.film(&aovs)?;
     let asked = args.spp.or(if args.time.is_some() { None } else { Some(sensor.sample_count.unwrap_or(64).into()) });
     let until = Until { samples: asked.unwrap_or(u64::MAX), time: args.time };
-    let identity = Identity { fingerprint: fingerprint(&scene, &format!("{name} {settings:?}")), seed: args.seed };
+    let identity = Identity {
+        fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {:?}", args.options)),
+        seed: args.seed,
+    };
     if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
         checkpoint::read(path, &mut film, &identity)?;
         ctx.note(format!("going on from {} samples per pixel", film.samples().0));
     }
     let reporter = Reporter { args: &args, ctx, identity };
     let progress = reporter.watch(&shot, &mut film, &until)?;
-    reporter.finish(&film, &name, &progress, loaded)
+    reporter.finish(&film, &name, &progress, loaded, told(&*integrator, &shot, &progress))
+}
+
+/// What the method tells of its parts in this run: per part how often it was tried and contributed, and its share of the
+/// picture, as the mean of luminances per sample.
+fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value {
+    let [w, h] = shot.size().map(f64::from);
+    let samples = (progress.new_samples * w * h).max(1.0);
+    let tally = shot.tally();
+    let parts = tally.parts().map(|(i, count)| {
+        json!({
+            "name": integrator.part(i),
+            "tried": count.tried,
+            "contributed": count.contributed,
+            "mean_luminance": count.sum() / samples,
+        })
+    });
+    let facts: serde_json::Map<String, Value> =
+        integrator.facts().into_iter().map(|(name, n)| (name.to_owned(), n.into())).collect();
+    json!({ "strategies": parts.collect::<Vec<_>>(), "counts": facts })
 }
 
 /// Before hours of work: outputs are of the kinds that are written, and can be.
@@ -242,7 +288,14 @@ impl Reporter<'_> {
         Ok(write_exr_channels(&self.args.output, (size[0], size[1]), &channels, &options)?)
     }
 
-    fn finish(&self, film: &Film, integrator: &str, progress: &Progress, loaded: Duration) -> anyhow::Result<()> {
+    fn finish(
+        &self,
+        film: &Film,
+        integrator: &str,
+        progress: &Progress,
+        loaded: Duration,
+        told: Value,
+    ) -> anyhow::Result<()> {
         self.picture(film)?;
         self.save(film)?;
         if film.broken() > 0 {
@@ -262,6 +315,8 @@ impl Reporter<'_> {
             "render_seconds": seconds,
             "rays_per_second": progress.rays as f64 / seconds.max(1e-9),
             "broken_samples": film.broken(),
+            "strategies": told["strategies"],
+            "counts": told["counts"],
         }))
     }
 }

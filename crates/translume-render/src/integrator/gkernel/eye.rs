@@ -1,0 +1,147 @@
+//! Camera paths of a step: their vertices wait for links; lights that they meet count at once.
+//!
+//! Source: Bekaert et al. 2003, §4.1 and §5.
+
+use super::weight::Weighing;
+use crate::light::LightPoint;
+use crate::subpath::{Density, Escape, Limits, Vertex, Walk};
+use crate::world::{Shading, SurfaceHit, World};
+use crate::{PathSampler, Rgb};
+use glam::Vec3;
+use translume_bxdf::Mode;
+use translume_trace::Ray;
+
+/// Where a camera path met a surface that links can end at.
+pub(crate) struct EyeVertex<'a> {
+    pub(crate) hit: SurfaceHit,
+    pub(crate) shading: Shading<'a>,
+    /// Factor on radiance, pixel filter included.
+    pub(crate) throughput: Rgb,
+    /// Number of the camera path.
+    pub(crate) path: u32,
+    pub(crate) segments: u32,
+    /// Surfaces met, from 0.
+    pub(crate) depth: u32,
+    /// Density per area, given the vertex before.
+    pub(crate) pdf: f32,
+    /// The vertex before: density per area of a walk from here, per density of the direction; its own density; whether
+    /// merging there is possible.
+    pub(crate) back: f32,
+    pub(crate) before: f32,
+    pub(crate) open: bool,
+    /// See [`super::weight`].
+    pub(crate) behind: f32,
+}
+
+/// A traced path.
+pub(crate) struct Eye<'a> {
+    pub(crate) world: &'a World,
+    pub(crate) limits: Limits,
+    pub(crate) hide_lights: bool,
+    pub(crate) weighing: Weighing,
+}
+
+impl<'a> Eye<'a> {
+    /// Traces `ray` with weight `weight`, appends vertices of path number `path` to `out`, and returns the radiance of the
+    /// lights that were met.
+    #[allow(clippy::too_many_arguments, reason = "one path's worth")]
+    pub(crate) fn trace(
+        &self,
+        (ray, density, weight): (&Ray, Density, f32),
+        path: u32,
+        sampler: &mut PathSampler,
+        rays: &mut u64,
+        buffer: &mut Vec<Vertex>,
+        out: &mut Vec<EyeVertex<'a>>,
+    ) -> Rgb {
+        let walk = Walk { world: self.world, mode: Mode::Radiance, limits: self.limits, hide_lights: self.hide_lights };
+        buffer.clear();
+        let begin = (*ray, Rgb::splat(weight), density);
+        let (escape, _) = walk.run(begin, None, sampler, rays, buffer);
+        let mut behind = Vec::with_capacity(buffer.len());
+        let mut radiance = Rgb::ZERO;
+        for v in buffer.iter() {
+            behind.push(self.behind(buffer, &behind, v.parent));
+        }
+        for (i, v) in buffer.iter().enumerate() {
+            radiance += self.emitted(buffer, v, behind[i]);
+            let shading = self.world.shading(&v.hit);
+            if !shading.flags().has_smooth() || v.segments >= self.limits.segments {
+                continue;
+            }
+            let parent = buffer.get(v.parent as usize);
+            out.push(EyeVertex {
+                hit: v.hit,
+                shading,
+                throughput: v.throughput,
+                path,
+                segments: v.segments,
+                depth: depth(buffer, v),
+                pdf: v.pdf,
+                back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
+                before: parent.map_or(1.0, |p| p.pdf),
+                open: parent.is_some_and(|p| !p.delta),
+                behind: behind[i],
+            });
+        }
+        if let Some(escape) = escape {
+            radiance += self.escaped(buffer, &escape, self.behind(buffer, &behind, escape.parent));
+        }
+        radiance
+    }
+
+    /// The bracket behind the vertex before, of a vertex whose parent has this number.
+    fn behind(&self, path: &[Vertex], behind: &[f32], parent: u32) -> f32 {
+        let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
+        let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
+        let open = !above.delta && !parent_vertex.delta;
+        self.weighing.add(open, above.pdf_back, above.pdf_back / above.pdf, behind[parent as usize])
+    }
+
+    fn emitted(&self, path: &[Vertex], v: &Vertex, behind: f32) -> Rgb {
+        let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
+        let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
+        let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n, far: false };
+        let (begin, next) = self.world.lights().pdf_start(&point, v.hit.wo);
+        let back = next * onto(v.hit.point.p, parent, v.hit.wo);
+        let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
+        v.throughput * radiance * weight(begin / v.pdf * inner)
+    }
+
+    fn escaped(&self, path: &[Vertex], escape: &Escape, behind: f32) -> Rgb {
+        if escape.segments == 1 && self.hide_lights {
+            return Rgb::ZERO;
+        }
+        let parent = path.get(escape.parent as usize);
+        let lights = self.world.lights();
+        let one = |far: crate::light::FarLight| {
+            let Some(parent) = parent else { return far.radiance };
+            let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
+            let (begin, next) = lights.pdf_start(&point, -escape.d);
+            let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n, escape.d);
+            let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
+            far.radiance * weight(begin / escape.pdf_w * inner)
+        };
+        escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
+    }
+}
+
+/// 1/(1 + A); where nothing competes A may be 0 · ∞.
+fn weight(others: f32) -> f32 {
+    if others > 0.0 { 1.0 / (1.0 + others) } else { 1.0 }
+}
+
+/// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
+fn onto(from: Vec3, to: &Vertex, d: Vec3) -> f32 {
+    Density::Angle { from, pdf_w: 1.0 }.at(to.hit.point.p, to.hit.n, d)
+}
+
+fn depth(path: &[Vertex], v: &Vertex) -> u32 {
+    let mut depth = 0;
+    let mut at = v;
+    while let Some(parent) = path.get(at.parent as usize) {
+        depth += 1;
+        at = parent;
+    }
+    depth
+}

@@ -1,0 +1,337 @@
+//! Links: camera vertices that lie in a light vertex's footprint are connected to that vertex's parent.
+//!
+//! Source: Bekaert et al. 2003, §4.2 and §5, with the corrections of errata: a link's score is
+//! T f(parent) cos/p_ω · f(y) cos_y · T_y / (π R² cos θ N), where N light paths were traced, T belongs to the parent, and the
+//! chance p_ω of the direction includes roulette's. Trial links are drawn by stratified sampling; a link's weight is the
+//! expected number of its selections n p, of which it may have several.
+//!
+//! The normalisation (§3, eq. 6) takes the surface within reach for a disc. Where it is not ([`LightVertex::flat`]) the share
+//! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
+//! [`Linker::share`].
+
+use super::eye::EyeVertex;
+use super::light::{Bandwidth, LightPaths, LightVertex};
+use super::points::Points;
+use super::weight::Weighing;
+use crate::light::{End, LightStart};
+use crate::subpath::{Scattering, scattering};
+use crate::world::{Shading, World};
+use crate::{PathSampler, Rgb};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::f32::consts::PI;
+use translume_core::frame::Frame;
+use translume_core::sampler::Sampler;
+use translume_core::warp;
+
+/// A pair that is to be connected.
+#[derive(Clone, Copy)]
+pub(crate) struct Link {
+    pub(crate) light: u32,
+    pub(crate) eye: u32,
+    /// Times selected over the expected number.
+    weight: f32,
+}
+
+/// Light vertices by camera vertex.
+pub(crate) struct Candidates {
+    begins: Vec<u32>,
+    lights: Vec<u32>,
+}
+
+/// Light vertices that one task asks for.
+const CHUNK: usize = 2048;
+
+impl Candidates {
+    /// All pairs of a camera vertex in a light vertex's footprint, of those that `wanted` says.
+    pub(crate) fn find(lights: &LightPaths, eyes: &[EyeVertex], wanted: impl Fn(&LightVertex) -> bool + Sync) -> Self {
+        let points = eyes.iter().enumerate().map(|(i, e)| (e.hit.point.p, i as u32)).collect();
+        let tree = Points::new(points);
+        let found: Vec<Vec<(u32, u32)>> = lights
+            .vertices
+            .par_chunks(CHUNK)
+            .enumerate()
+            .map(|(c, chunk)| {
+                let mut pairs = Vec::new();
+                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.linked() && wanted(v)) {
+                    tree.within(v.hit.point.p, v.radius, |eye| pairs.push((eye, (c * CHUNK + i) as u32)));
+                }
+                pairs
+            })
+            .collect();
+        let mut begins = vec![0_u32; eyes.len() + 1];
+        found.iter().flatten().for_each(|(eye, _)| begins[*eye as usize + 1] += 1);
+        (0..eyes.len()).for_each(|i| begins[i + 1] += begins[i]);
+        let mut next = begins.clone();
+        let mut sorted = vec![0; begins[eyes.len()] as usize];
+        for (eye, light) in found.into_iter().flatten() {
+            let slot = &mut next[eye as usize];
+            sorted[*slot as usize] = light;
+            *slot += 1;
+        }
+        Self { begins, lights: sorted }
+    }
+
+    /// How many there are.
+    pub(crate) fn len(&self) -> usize {
+        self.lights.len()
+    }
+
+    /// Those of camera vertex `eye`.
+    pub(crate) fn of(&self, eye: usize) -> &[u32] {
+        &self.lights[self.begins[eye] as usize..self.begins[eye + 1] as usize]
+    }
+
+    /// Trial links in the order of light vertices; `wanted` says how many a camera vertex asks for, `strength` how likely
+    /// a candidate is taken.
+    pub(crate) fn select(
+        &self,
+        eyes: &[EyeVertex],
+        (seed, step): (u64, u64),
+        wanted: impl Fn(usize) -> f32 + Sync,
+        strength: impl Fn(u32, &EyeVertex) -> f32 + Sync,
+    ) -> Vec<Link> {
+        let mut links: Vec<Link> = eyes
+            .par_iter()
+            .enumerate()
+            .fold(Vec::new, |mut links, (i, eye)| {
+                let own = self.of(i);
+                let all = |light: &u32| Link { light: *light, eye: i as u32, weight: 1.0 };
+                let n = wanted(i);
+                if own.len() as f32 <= n {
+                    links.extend(own.iter().map(all));
+                    return links;
+                }
+                let strengths: Vec<f32> = own.iter().map(|l| strength(*l, eye)).collect();
+                let sum: f64 = strengths.iter().map(|s| f64::from(*s)).sum();
+                let u = PathSampler::new(seed ^ 0x6c69_6e6b, step << 32 | i as u64, 0).next_1d();
+                let (mut passed, mut taken) = (f64::from(u), 0.0);
+                for (light, s) in own.iter().zip(strengths) {
+                    let expected = f64::from(n) * f64::from(s) / sum;
+                    passed += expected;
+                    let times = passed.floor() - taken;
+                    taken = passed.floor();
+                    if times > 0.0 {
+                        links.push(Link { light: *light, eye: i as u32, weight: (times / expected) as f32 });
+                    }
+                }
+                links
+            })
+            .reduce(Vec::new, |mut a, b| {
+                a.extend(b);
+                a
+            });
+        links.par_sort_unstable_by_key(|l| (l.light, l.eye));
+        links
+    }
+}
+
+/// What scoring takes.
+pub(crate) struct Linker<'a> {
+    pub(crate) world: &'a World,
+    pub(crate) lights: &'a LightPaths,
+    pub(crate) bandwidth: Bandwidth,
+    pub(crate) weighing: Weighing,
+    /// Longest path in segments.
+    pub(crate) max: u32,
+    /// Of the random numbers.
+    pub(crate) seed: (u64, u64),
+}
+
+/// What a link brings.
+pub(crate) struct Score {
+    pub(crate) value: Rgb,
+    /// Nothing stood between.
+    pub(crate) visible: bool,
+    pub(crate) rays: u64,
+}
+
+/// The other end of links to one light vertex.
+enum Parent<'a> {
+    Start(&'a LightStart),
+    Vertex(&'a LightVertex, Box<Shading<'a>>),
+}
+
+/// Light from the parent to y, before the kernel.
+struct Arrival {
+    /// Unit direction from y to the parent.
+    wi: Vec3,
+    /// Flux over densities, the direction's included, towards y; of far lights likewise.
+    value: Rgb,
+    /// Density per area across the light at y; the kernel's area times this normalises.
+    pdf_across: f32,
+    /// cos at the parent over the squared distance: density of the parent's place by a walk from y, per direction's.
+    onto_parent: f32,
+    at_parent: Option<Scattering>,
+}
+
+/// Surfaces that a connection may pass straight before it counts as blocked.
+const MOST_CROSSINGS: u32 = 256;
+
+/// Most rays that [`Linker::share`] takes.
+const TRIALS: u32 = 64;
+
+/// Largest footprint over that of the vertex at hand, for [`Linker::share`].
+const MARGIN: f32 = 1.3;
+
+impl<'a> Linker<'a> {
+    /// Scores of `links`, in their order.
+    pub(crate) fn score(&self, links: &[Link], eyes: &[EyeVertex]) -> Vec<Score> {
+        links
+            .par_chunks(256)
+            .flat_map_iter(|chunk| {
+                let mut parent: Option<(u32, Parent)> = None;
+                chunk.iter().map(move |link| {
+                    let v = &self.lights.vertices[link.light as usize];
+                    if parent.as_ref().is_none_or(|p| p.0 != link.light) {
+                        parent = Some((link.light, self.parent(v)));
+                    }
+                    match &parent {
+                        Some((_, parent)) => self.link(link, v, parent, &eyes[link.eye as usize]),
+                        None => Score { value: Rgb::ZERO, visible: false, rays: 0 },
+                    }
+                })
+            })
+            .collect()
+    }
+
+    fn parent(&self, v: &LightVertex) -> Parent<'a> {
+        if v.first() {
+            return Parent::Start(&self.lights.starts[v.parent as usize]);
+        }
+        let parent = &self.lights.vertices[v.parent as usize];
+        Parent::Vertex(parent, Box::new(self.world.shading(&parent.hit)))
+    }
+
+    fn link(&self, link: &Link, v: &LightVertex, parent: &Parent, y: &EyeVertex) -> Score {
+        let mut score = Score { value: Rgb::ZERO, visible: false, rays: 0 };
+        let before = if let Parent::Vertex(p, _) = parent { u32::from(p.segments) } else { 0 };
+        let segments = y.segments + before + 1;
+        if segments > self.max {
+            return score;
+        }
+        let Some(arrival) = self.arrival(parent, y.hit.point.p) else { return score };
+        let Some(here) = scattering(self.world, &y.hit, &y.shading, arrival.wi, y.hit.wo) else { return score };
+        score.rays += 1;
+        let segment = match parent {
+            Parent::Start(start) => match &start.origin {
+                End::Surface(q) => y.hit.point.segment_between(q),
+                End::Point(q) => y.hit.point.segment_to(*q),
+                End::Far => y.hit.point.spawn(arrival.wi),
+            },
+            Parent::Vertex(p, _) => y.hit.point.segment_between(&p.hit.point),
+        };
+        let visible = self.world.transmittance(&segment, (self.max - segments).min(MOST_CROSSINGS));
+        if visible == Rgb::ZERO {
+            return score;
+        }
+        score.visible = true;
+        let cos_y = y.hit.n.dot(arrival.wi).abs();
+        let mut kernel = 1.0 / (PI * v.radius * v.radius * v.cos());
+        if !v.flat() {
+            let (share, rays) = self.share(link, v, &arrival, y);
+            kernel = share / (PI * v.radius * v.radius);
+            score.rays += rays;
+        }
+        let weight = self.weight(parent, &arrival, &here, y, cos_y);
+        let paths = self.lights.count as f32;
+        score.value = arrival.value
+            * visible
+            * here.f
+            * y.throughput
+            * (cos_y * kernel * weight * link.weight / (v.survival * paths));
+        score
+    }
+
+    fn arrival(&self, parent: &Parent, y: Vec3) -> Option<Arrival> {
+        match parent {
+            Parent::Start(start) => {
+                let point = start.point();
+                if point.far {
+                    let value = start.radiance / start.pdf_begin();
+                    let (wi, pdf_across) = (-start.direction, start.pdf_next());
+                    return Some(Arrival {
+                        wi,
+                        value: value / pdf_across,
+                        pdf_across,
+                        onto_parent: 1.0,
+                        at_parent: None,
+                    });
+                }
+                let (wi, distance) = toward(y, start.p)?;
+                let (_, pdf_w) = self.world.lights().pdf_start(&point, -wi);
+                let radiance = self.world.lights().emitted(self.world.scene(), start, -wi);
+                let cos = if point.n == Vec3::ZERO { 1.0 } else { point.n.dot(-wi) };
+                if pdf_w <= 0.0 || cos <= 0.0 || radiance == Rgb::ZERO {
+                    return None;
+                }
+                let value = radiance * (cos / (start.pdf_begin() * pdf_w));
+                let onto_parent = point.from_solid_angle(1.0, wi, distance);
+                Some(Arrival { wi, value, pdf_across: pdf_w / (distance * distance), onto_parent, at_parent: None })
+            }
+            Parent::Vertex(p, shading) => {
+                let (wi, distance) = toward(y, p.hit.point.p)?;
+                let there = scattering(self.world, &p.hit, shading, p.hit.wo, -wi)?;
+                if there.pdf_to_camera <= 0.0 {
+                    return None;
+                }
+                let cos = p.hit.n.dot(wi).abs();
+                let across = 1.0 / (distance * distance);
+                Some(Arrival {
+                    wi,
+                    value: p.throughput * there.f * (cos / there.pdf_to_camera),
+                    pdf_across: there.pdf_to_camera * across,
+                    onto_parent: cos * across,
+                    at_parent: Some(there),
+                })
+            }
+        }
+    }
+
+    /// π R² p over N: how much larger than the disc the part of a ball around y is, as the parent sees it, in which a light
+    /// path's hit would have y in its footprint. Rays are sent into the ball until one succeeds; their number is one over
+    /// the chance in the mean (Booth 2007). Footprints beside may be larger than this one, up to [`MARGIN`].
+    fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex) -> (f32, u64) {
+        let key = u64::from(link.light) << 32 | u64::from(link.eye);
+        let mut sampler = PathSampler::new(self.seed.0 ^ 0x7368_6172, key, self.seed.1);
+        let frame = Frame::from_normal(arrival.wi);
+        let center = y.hit.point.p;
+        let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
+        let far = v.first() && self.lights.point(v).far;
+        for tried in 1..=TRIALS {
+            let u = sampler.next_2d();
+            let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (MARGIN * v.radius)).extend(0.0));
+            let ray = self.lights.ray_beside(self.world, v, center + beside);
+            let Some(hit) = self.world.intersect(&ray) else { continue };
+            let pdf = arrival.pdf_across * hit.n.dot(ray.d).abs();
+            let radius = self.bandwidth.radius(pdf, if far { f32::INFINITY } else { hit.t }, before);
+            if hit.point.p.distance_squared(center) <= radius * radius {
+                return (tried as f32 / (MARGIN * MARGIN), u64::from(tried));
+            }
+        }
+        (TRIALS as f32 / (MARGIN * MARGIN), u64::from(TRIALS))
+    }
+
+    fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
+        let onto_y = arrival.pdf_across * cos_y;
+        let own = self.weighing.merge(onto_y);
+        let back = here.pdf_to_camera * y.back;
+        let camera = onto_y / y.pdf * self.weighing.add(y.open, back, back / y.before, y.behind);
+        let parent_pdf = here.pdf_to_light * arrival.onto_parent;
+        let light = match parent {
+            Parent::Start(start) => parent_pdf / start.pdf_begin() * self.weighing.of_light(start.delta),
+            Parent::Vertex(p, _) => {
+                let open = p.linked();
+                let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
+                parent_pdf / p.pdf * self.weighing.add(open, p.pdf, there * p.back, p.behind)
+            }
+        };
+        own / (own + camera + light)
+    }
+}
+
+fn toward(from: Vec3, to: Vec3) -> Option<(Vec3, f32)> {
+    let way = to - from;
+    let distance = way.length();
+    (distance > 0.0).then(|| (way / distance, distance))
+}

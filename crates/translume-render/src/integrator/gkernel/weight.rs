@@ -1,0 +1,44 @@
+//! Weights of the ways to make a path: merging at any of its vertices, or the camera's path meeting the light.
+//!
+//! Source: Bekaert et al. 2003, §4.1. For the path z₀ … z_k let p_j be the density of merging at z_j: the light's walk made
+//! z₀ … z_{j−1}, the camera's z_j … z_k. Two rules:
+//!
+//! - eq. 9, extended to all merges (errata): p_j = Π_{i≤j} p^L(z_i) Π_{i≥j} p^E(z_i), the footprint taken as a constant area;
+//! - the default: without p^L(z_j), which the radius R ∝ 1/√p^L(z_j) cancels. A merge is then what it is, a connection of
+//!   z_{j−1} to z_j that is made c = N π h² times.
+//!
+//! Either way p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i), with g_j = c or κ p^L(z_j), and g = 1 for the camera's path that
+//! meets the light. Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
+//! camera's side A = r_t (g_{t−1} + r_{t−1} (g_{t−2} + …)), with q_i = p^E(z_i)/p^L(z_i) on the light's B = q_m (g_m + q_{m−1} (…)),
+//! and w = g/(g + A + B). What depends only on the walk is kept with the vertex (`behind`).
+
+/// How merges are weighed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weighing {
+    /// c, or κ of eq. 9.
+    pub(crate) scale: f32,
+    /// Eq. 9.
+    pub(crate) printed: bool,
+}
+
+impl Weighing {
+    /// g of a merge at a vertex that the light's walk finds with density `pdf`.
+    #[inline]
+    pub(crate) fn merge(&self, pdf: f32) -> f32 {
+        if self.printed { self.scale * pdf } else { self.scale }
+    }
+
+    /// The sum in brackets at the light: the camera's path may meet it, unless it has no extent.
+    #[inline]
+    pub(crate) fn of_light(&self, delta: bool) -> f32 {
+        if delta { 0.0 } else { 1.0 }
+    }
+
+    /// A bracket around `inner`: merging at a vertex of density `pdf` by the light's walk if it is `open`, and what lies
+    /// behind.
+    #[inline]
+    pub(crate) fn add(&self, open: bool, pdf: f32, ratio: f32, inner: f32) -> f32 {
+        let own = if open { self.merge(pdf) } else { 0.0 };
+        own + if inner > 0.0 && ratio.is_finite() { ratio * inner } else { 0.0 }
+    }
+}
