@@ -15,6 +15,7 @@ mod mesh;
 mod page;
 mod pictures;
 mod render;
+mod scatter;
 mod scene;
 
 use crate::output::Context;
@@ -29,6 +30,7 @@ pub(crate) enum Verb {
     Merge(merge::Args),
     Scene(scene::Args),
     Mesh(mesh::Args),
+    Scatter(scatter::Args),
     #[command(subcommand)]
     Image(image::Args),
     Compare(compare::Args),
@@ -46,6 +48,7 @@ impl Verb {
             Self::Merge(args) => merge::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),
+            Self::Scatter(args) => scatter::run(args, ctx),
             Self::Image(args) => image::run(args, ctx),
             Self::Compare(args) => compare::run(args, ctx),
             Self::Completions(args) => completions::run(args, ctx),

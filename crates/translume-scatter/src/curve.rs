@@ -1,0 +1,66 @@
+//! What a fit says about one direction: a fall-off of reflectance with distance.
+
+use crate::diffusion::{Dipole, Normalized, Sources};
+use serde::{Deserialize, Serialize};
+
+/// R(r) = Σ c_k e^{d_k r} [Fuchs 2005, Eq. 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Exponentials {
+    /// Amplitudes, in the unit of the samples; some may be negative, the sum is positive everywhere.
+    pub c: Vec<f64>,
+    /// Decay per mm, negative, fastest first.
+    pub d: Vec<f64>,
+}
+
+impl Exponentials {
+    /// The value at distance `r` in mm.
+    #[inline]
+    pub fn value(&self, r: f64) -> f64 {
+        self.c.iter().zip(&self.d).map(|(c, d)| c * (d * r).exp()).sum()
+    }
+}
+
+/// A fitted fall-off of one of the models.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Curve {
+    /// Sum of exponentials.
+    Exponential(Exponentials),
+    /// A diffusion dipole.
+    Dipole(Dipole),
+    /// Normalised diffusion.
+    Normalized(Normalized),
+}
+
+impl Curve {
+    /// The curve in the form that is quick to evaluate at many distances.
+    pub fn evaluator(&self) -> Evaluator<'_> {
+        match self {
+            Self::Exponential(e) => Evaluator::Exponential(e),
+            Self::Dipole(d) => Evaluator::Dipole(d.sources()),
+            Self::Normalized(n) => Evaluator::Normalized(n),
+        }
+    }
+}
+
+/// A [`Curve`] ready to be evaluated.
+pub enum Evaluator<'a> {
+    /// Sum of exponentials.
+    Exponential(&'a Exponentials),
+    /// A diffusion dipole.
+    Dipole(Sources),
+    /// Normalised diffusion.
+    Normalized(&'a Normalized),
+}
+
+impl Evaluator<'_> {
+    /// The value at distance `r` in mm, in the unit of the samples.
+    #[inline]
+    pub fn value(&self, r: f64) -> f64 {
+        match self {
+            Self::Exponential(e) => e.value(r),
+            Self::Dipole(d) => d.value(r),
+            Self::Normalized(n) => n.value(r),
+        }
+    }
+}
