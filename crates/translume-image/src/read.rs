@@ -1,6 +1,6 @@
 //! Reading any supported file.
 
-use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tiff};
+use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tga, tiff};
 use crate::raster::Raster;
 use crate::{Codes, Error, Picture, Result, Samples, linear};
 use image::Rgb32FImage;
@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// File formats, told by their first bytes and not by their names.
+/// File formats, told by their first bytes and not by their names (but for TGA, which has no mark there).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// OpenEXR.
@@ -23,6 +23,8 @@ pub enum Format {
     Jpeg,
     /// TIFF.
     Tiff,
+    /// Truevision TGA.
+    Tga,
 }
 
 impl Format {
@@ -59,6 +61,7 @@ impl Format {
             Self::Png => "PNG",
             Self::Jpeg => "JPEG",
             Self::Tiff => "TIFF",
+            Self::Tga => "TGA",
         }
     }
 }
@@ -157,9 +160,10 @@ fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
 }
 
 fn format_of(head: &[u8], path: &Path) -> Result<Format> {
-    Format::of(head).ok_or_else(|| match head {
+    let by_name = (!head.is_empty() && tga::is_tga(path)).then_some(Format::Tga);
+    Format::of(head).or(by_name).ok_or_else(|| match head {
         [] => Error::invalid(path, "the file is empty"),
-        _ => Error::unsupported(path, "not a picture that is read here (OpenEXR, Radiance, PFM, PNG, JPEG, TIFF)"),
+        _ => Error::unsupported(path, "not a picture that is read here (OpenEXR, Radiance, PFM, PNG, JPEG, TIFF, TGA)"),
     })
 }
 
@@ -171,6 +175,7 @@ fn decode(file: &[u8], path: &Path) -> Result<Raster> {
         Format::Png => png::read(file, path),
         Format::Jpeg => jpeg::read(file, path),
         Format::Tiff => tiff::read(file, path),
+        Format::Tga => tga::read(file, path),
     }
 }
 

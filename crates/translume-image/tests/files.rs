@@ -115,3 +115,37 @@ fn named_layers_are_written_and_read() {
     assert!(write_exr_channels(&path, (7, 5), &[("X", &x[..34])], &options).is_err());
     assert!(write_exr_channels(&path, (7, 5), &[("X", &x), ("X", &y)], &options).is_err());
 }
+
+#[test]
+fn tga_files_are_read_and_damaged_ones_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.TGA");
+    // 3 × 2, 24 bits, top row first, run-length coded: a run of two pixels, one alone, a run of three; blue first.
+    let mut file = vec![0, 0, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 2, 0, 24, 0x20];
+    file.extend([0x81, 0, 0, 255, 0x00, 10, 20, 30, 0x82, 255, 255, 255]);
+    std::fs::write(&path, &file).unwrap();
+    let codes = read_codes(&path).unwrap();
+    let mut expected = vec![255, 0, 0, 255, 0, 0, 30, 20, 10];
+    expected.extend([255; 9]);
+    assert_eq!((codes.width, codes.height, codes.samples), (3, 2, Samples::U8(expected)));
+    assert_eq!(Format::of_file(&path).unwrap(), Format::Tga);
+    for cut in 0..file.len() {
+        std::fs::write(&path, &file[..cut]).unwrap();
+        assert!(read_codes(&path).is_err(), "{cut}");
+    }
+    // A header cannot ask for memory that the file could not fill.
+    file[12..16].fill(0xff);
+    std::fs::write(&path, &file).unwrap();
+    assert!(read_codes(&path).is_err());
+}
+
+#[test]
+fn jpeg_keeps_a_smooth_picture() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.jpg");
+    let rgb: Vec<u8> = (0..3 * 40 * 30).map(|i| (60 + i / 3 % 40 * 3 + i % 3 * 20) as u8).collect();
+    write_jpeg(&path, (40, 30), &rgb, 95).unwrap();
+    let Samples::U8(back) = read_codes(&path).unwrap().samples else { panic!("8 bits") };
+    assert!(rgb.iter().zip(&back).all(|(a, b)| a.abs_diff(*b) <= 6));
+    assert!(write_jpeg(&path, (40, 31), &rgb, 95).is_err());
+}

@@ -1,7 +1,8 @@
 //! JPEG: zune-jpeg's decoder, with the check for an end that it leaves to its caller.
 
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, exif, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, atomic, exif, limits, orient::Orientation};
+use image::ImageEncoder;
 use std::path::Path;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
@@ -53,4 +54,23 @@ fn reaches_end(file: &[u8]) -> bool {
         let Some(length) = file.get(i + 2..i + 4) else { return false };
         i += 2 + usize::from(u16::from_be_bytes([length[0], length[1]]));
     }
+}
+
+/// Writes 8-bit sRGB, `3 * width * height` values, at a `quality` of 1 to 100, colour at full resolution.
+///
+/// # Errors
+/// [`Error::Mismatch`] when `rgb` has another length; [`Error::Unsupported`] beyond 65535 pixels a side; [`Error::Io`].
+pub fn write_jpeg(path: &Path, (width, height): (usize, usize), rgb: &[u8], quality: u8) -> Result<()> {
+    if rgb.len() != 3 * width * height {
+        return Err(Error::Mismatch(format!("{}: {} values for {width} × {height} pixels", path.display(), rgb.len())));
+    }
+    let (Ok(w), Ok(h)) = (u16::try_from(width), u16::try_from(height)) else {
+        return Err(Error::unsupported(path, format!("{width} × {height} pixels: JPEG holds 65535 a side")));
+    };
+    atomic::write(path, |f| {
+        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(f, quality.clamp(1, 100));
+        encoder
+            .write_image(rgb, u32::from(w), u32::from(h), image::ExtendedColorType::Rgb8)
+            .map_err(|e| Error::io(path, std::io::Error::other(e)))
+    })
 }

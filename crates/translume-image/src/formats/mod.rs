@@ -8,4 +8,5 @@ pub(crate) mod pfm;
 pub(crate) mod png;
 pub(crate) mod radiance;
 pub(crate) mod raw;
+pub(crate) mod tga;
 pub(crate) mod tiff;

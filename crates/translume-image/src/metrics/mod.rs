@@ -15,7 +15,7 @@ pub use delta_e::{delta_e_2000, delta_e_2000_map};
 pub use error_sums::{psnr, psnr_mu, rel_mse, rmse, top_percentile};
 pub use flip::{FlipMap, flip_hdr, flip_ldr, flip_ppd};
 pub use magma::magma;
-pub use pu21::{pu21_encode, pu21_psnr};
+pub use pu21::{pu21_decode, pu21_encode, pu21_psnr};
 pub use ssim::ssim;
 
 #[cfg(test)]

@@ -13,6 +13,12 @@ pub fn pu21_encode(cd_m2: f64) -> f64 {
     P[6] * (((P[0] + P[1] * y) / (1.0 + P[2] * y)).powf(P[4]) - P[5])
 }
 
+/// The luminance in cd/m² that has a PU value; the inverse of [`pu21_encode`].
+pub fn pu21_decode(pu: f64) -> f64 {
+    let t = (pu / P[6] + P[5]).max(0.0).powf(1.0 / P[4]);
+    ((t - P[0]) / (P[1] - P[2] * t)).max(0.0).powf(1.0 / P[3]).clamp(0.005, 10_000.0)
+}
+
 /// PSNR in dB of PU-encoded linear colour values, peak 256 as the authors' own metric takes it. `cd_m2` is what one unit
 /// of the samples stands for.
 pub fn pu21_psnr(reference: &[f32], test: &[f32], cd_m2: f64) -> f64 {
@@ -37,5 +43,12 @@ mod tests {
     fn psnr_agrees_with_a_separate_computation() {
         let (a, b) = samples::hdr_pair();
         assert!((pu21_psnr(&a, &b, 10.0) - 17.664_228).abs() < 1e-3);
+    }
+
+    #[test]
+    fn decoding_undoes_encoding() {
+        for cd_m2 in [0.005, 0.1, 3.0, 100.0, 2500.0, 10_000.0] {
+            assert!((pu21_decode(pu21_encode(cd_m2)) / cd_m2 - 1.0).abs() < 1e-6, "{cd_m2}");
+        }
     }
 }

@@ -102,7 +102,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
 fn is_float(path: &std::path::Path) -> anyhow::Result<bool> {
     Ok(match Format::of_file(path)? {
         Format::Exr | Format::Radiance | Format::Pfm => true,
-        Format::Png | Format::Jpeg => false,
+        Format::Png | Format::Jpeg | Format::Tga => false,
         Format::Tiff => translume_image::read_codes(path)?.is_linear(),
     })
 }

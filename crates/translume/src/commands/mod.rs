@@ -7,6 +7,7 @@
 mod compare;
 mod completions;
 mod demo;
+mod field;
 mod hdr;
 mod image;
 mod man;
@@ -26,6 +27,8 @@ use crate::output::Context;
 pub(crate) enum Verb {
     Demo(demo::Args),
     Hdr(hdr::Args),
+    #[command(subcommand)]
+    Field(field::Args),
     Render(render::Args),
     Merge(merge::Args),
     Scene(scene::Args),
@@ -44,6 +47,7 @@ impl Verb {
         match self {
             Self::Demo(args) => demo::run(args, ctx),
             Self::Hdr(args) => hdr::run(args, ctx),
+            Self::Field(args) => field::run(args, ctx),
             Self::Render(args) => render::run(args, ctx),
             Self::Merge(args) => merge::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),

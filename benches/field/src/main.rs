@@ -1,0 +1,132 @@
+//! `bench-field generate DIR SIZE LIGHTS` writes the synthetic light stage; `bench-field table DIR [NAME …]` compresses a
+//! stack by each method and prints errors, bytes and seconds; `bench-field speed DIR` measures relighting, `bench-field pca DIR` decomposition.
+
+mod scene;
+
+use anyhow::{Context as _, bail};
+use std::path::Path;
+use std::time::Instant;
+use translume_field::{Domain, Field, Model, Params, Rate, Relighter, Stack, compress, measure, texture::Codec};
+use translume_field::{matrix::Matrix, pca};
+
+/// A row of the table: its name, and how it is made.
+fn rows() -> Vec<(&'static str, Params)> {
+    let layers = |k| Params { rate: Rate::Terms(k), ..Params::default() };
+    let pca = |model, k, codec| Params { model, rate: Rate::Terms(k), codec: Some(codec), ..Params::default() };
+    let log = |delta| Some(Domain::Log { delta });
+    let fixed = |model, codec| Params { model, codec: Some(codec), ..Params::default() };
+    vec![
+        ("thesis: log PCA, BC1, δ 0.001", pca(Model::LogPca, 16, Codec::Bc1)),
+        ("log PCA, BC1, δ 0.0001", Params { domain: log(1e-4), ..pca(Model::LogPca, 16, Codec::Bc1) }),
+        ("log PCA, BC1, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 16, Codec::Bc1) }),
+        (
+            "log PCA, BC1, δ 0.01, randomised",
+            Params { domain: log(1e-2), randomised: true, ..pca(Model::LogPca, 16, Codec::Bc1) },
+        ),
+        ("linear PCA, BC1", pca(Model::LinearPca, 16, Codec::Bc1)),
+        ("log PCA, BC7, half the terms, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 8, Codec::Bc7) }),
+        ("layers, open loop", Params { closed_loop: false, ..layers(16) }),
+        ("layers (default)", layers(16)),
+        ("layers, δ 0.001", Params { domain: log(1e-3), ..layers(16) }),
+        ("layers, δ 0.1", Params { domain: log(1e-1), ..layers(16) }),
+        ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
+        ("layers, PU21", Params { domain: Some(Domain::Pu21), ..layers(16) }),
+        ("layers, half the bytes", layers(8)),
+        ("layers, R8, half the layers", Params { codec: Some(Codec::R8), ..layers(8) }),
+        ("PTM, BC7", fixed(Model::Ptm, Codec::Bc7)),
+        ("PTM, RGB8", fixed(Model::Ptm, Codec::Rgb8)),
+        ("HSH, BC7", fixed(Model::Hsh, Codec::Bc7)),
+        ("HSH, RGB8", fixed(Model::Hsh, Codec::Rgb8)),
+    ]
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        ["generate", dir, size, lights] => scene::write(Path::new(dir), size.parse()?, lights.parse()?),
+        ["table", dir, ref names @ ..] => table(Path::new(dir), names),
+        ["speed", dir] => speed(Path::new(dir)),
+        ["pca", dir] => decompose(Path::new(dir)),
+        _ => bail!("bench-field generate DIR SIZE LIGHTS | table DIR [NAME …] | speed DIR | pca DIR"),
+    }
+}
+
+fn make(dir: &Path, params: &Params) -> anyhow::Result<(Field, Stack, f64)> {
+    let start = Instant::now();
+    let mut stack = Stack::open(dir, None)?;
+    let field = compress(&mut stack, params, &|_| ())?;
+    Ok((field, stack, start.elapsed().as_secs_f64()))
+}
+
+fn table(dir: &Path, names: &[&str]) -> anyhow::Result<()> {
+    println!("| method | bytes a texel | RMS on a display | PSNR, dB | RMS of ln | seconds |");
+    println!("|---|--:|--:|--:|--:|--:|");
+    for (name, params) in rows().into_iter().filter(|(n, _)| names.is_empty() || names.iter().any(|x| n.contains(x))) {
+        let (field, mut stack, secs) = match make(dir, &params) {
+            Ok(made) => made,
+            Err(e) => {
+                println!("| {name} | | {e} |");
+                continue;
+            }
+        };
+        let errors = measure::compare(&field, &mut stack, &|| ())?;
+        let mean = |f: &dyn Fn(&measure::PictureError) -> f64| errors.iter().map(f).sum::<f64>() / errors.len() as f64;
+        println!(
+            "| {name} | {:.2} | {:.5} | {:.2} | {:.4} | {secs:.1} |",
+            field.texture_bytes() as f64 / (field.width * field.height) as f64,
+            mean(&|e| e.rms * e.rms).sqrt(),
+            mean(&|e| e.psnr),
+            mean(&|e| e.log_rms * e.log_rms).sqrt()
+        );
+    }
+    Ok(())
+}
+
+/// Frames a second of relighting with 16 layers, with and without exp and tone map to 8 bits.
+fn speed(dir: &Path) -> anyhow::Result<()> {
+    let (field, ..) = make(dir, &Params { rate: Rate::Terms(16), ..Params::default() })?;
+    let relighter = Relighter::new(&field)?;
+    let mixes: Vec<_> = scene::lights(32).into_iter().filter(|l| l[2] > 0.0).map(|l| relighter.mix(l)).collect();
+    let mut out = vec![0u8; 3 * field.width * field.height];
+    let first = mixes.first().context("no lights")?;
+    relighter.display(first, 1.0, &mut out);
+    let (start, mut frames) = (Instant::now(), 0);
+    while start.elapsed().as_secs_f64() < 4.0 {
+        relighter.display(&mixes[frames % mixes.len()], 1.0, &mut out);
+        frames += 1;
+    }
+    let secs = start.elapsed().as_secs_f64();
+    println!(
+        "{} × {}, 16 layers, {} threads: {:.1} frames/s",
+        field.width,
+        field.height,
+        rayon::current_num_threads(),
+        frames as f64 / secs
+    );
+    Ok(())
+}
+
+/// Lanczos beside the randomised range finder: seconds, and the share of the energy of log light that 16 terms leave.
+fn decompose(dir: &Path) -> anyhow::Result<()> {
+    let mut stack = Stack::open(dir, None)?;
+    let start = Instant::now();
+    let matrix = Matrix::read(&mut stack, Domain::default(), usize::MAX, &|| ())?;
+    println!("| read {} pictures, logarithm | {:.2} | |", matrix.lights, start.elapsed().as_secs_f64());
+    let (gram, white) = pca::light_gram(&matrix, 1);
+    let left = |v: &nalgebra::DMatrix<f64>| 1.0 - (v.transpose() * &gram * v).trace() / gram.trace();
+    let start = Instant::now();
+    let (again, _) = pca::light_gram(&matrix, 1);
+    let lanczos = pca::lanczos(&again, &white, 16).0;
+    println!("| translume, Lanczos from white | {:.2} | {:.4e} |", start.elapsed().as_secs_f64(), left(&lanczos));
+    for power in [0, 1, 2] {
+        let start = Instant::now();
+        let found = pca::randomised_lights(&matrix, 16, power, 1);
+        println!(
+            "| translume, randomised, {power} power iterations | {:.2} | {:.4e} |",
+            start.elapsed().as_secs_f64(),
+            left(&found)
+        );
+    }
+    Ok(())
+}

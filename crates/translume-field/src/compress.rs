@@ -1,0 +1,340 @@
+//! From a stack to a field: the phases of [Menzel 2012, ch. 4], for the default model and its baselines.
+
+use crate::basis::Basis;
+use crate::field::{Angular, Field, Model, Relighter};
+use crate::file;
+use crate::layers;
+use crate::matrix::Matrix;
+use crate::pca;
+use crate::sphere::Kernel;
+use crate::stack::Stack;
+use crate::texture::{Codec, Texture};
+use crate::{Domain, Error, Result};
+use nalgebra::DMatrix;
+
+/// Most layers of a field.
+pub const MOST_TERMS: usize = 128;
+/// Texels that are enough to find principal directions from.
+const ENOUGH: usize = 1 << 18;
+
+/// How to compress.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    /// What to make.
+    pub model: Model,
+    /// How many layers; PTM and HSH have their own number.
+    pub rate: Rate,
+    /// Scale; `None` for that of the model.
+    pub domain: Option<Domain>,
+    /// Storage of a layer; `None` for that of the model.
+    pub codec: Option<Codec>,
+    /// Interpolation by the thesis' Gaussian instead of by cross-validation; `None`: as the model has it.
+    pub gaussian: Option<bool>,
+    /// Principal directions by a randomised range finder instead of by Lanczos iteration, in the PCA models.
+    pub randomised: bool,
+    /// Whether a layer of the default model sees what encoding the earlier ones lost; otherwise for comparison.
+    pub closed_loop: bool,
+    /// Bytes that the stack may take in memory; larger ones are read twice.
+    pub memory: usize,
+}
+
+/// What decides the number of layers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rate {
+    /// 16, or as many as the stack gives.
+    Default,
+    /// So many.
+    Terms(usize),
+    /// As many as fit into a file of so many bytes.
+    Bytes(usize),
+    /// The fewest with which the pictures of the stack reach this PSNR in dB as [`crate::measure`] has it.
+    Psnr(f64),
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            model: Model::Layers,
+            rate: Rate::Default,
+            domain: None,
+            codec: None,
+            gaussian: None,
+            randomised: false,
+            closed_loop: true,
+            memory: 1536 << 20,
+        }
+    }
+}
+
+impl Params {
+    /// The scale that will be used.
+    pub fn domain(&self) -> Domain {
+        self.domain.unwrap_or(match self.model {
+            Model::LogPca => Domain::THESIS,
+            Model::LinearPca => Domain::Linear,
+            Model::Ptm | Model::Hsh | Model::Imported => Domain::Display,
+            Model::Layers => Domain::default(),
+        })
+    }
+
+    /// The storage that will be used.
+    pub fn codec(&self) -> Codec {
+        self.codec.unwrap_or(match self.model {
+            Model::Layers => Codec::Bc4,
+            Model::LogPca | Model::LinearPca => Codec::Bc1,
+            Model::Ptm | Model::Hsh | Model::Imported => Codec::Rgb8,
+        })
+    }
+
+    /// Most terms that a stack of `lights` pictures gives.
+    fn most(&self, lights: usize) -> usize {
+        if self.model == Model::Layers { MOST_TERMS.min(3 * lights) } else { MOST_TERMS.min(lights) }
+    }
+
+    /// The number of terms, where the pictures need not be looked at.
+    fn terms(&self, stack: &Stack) -> Result<Option<usize>> {
+        let lights = stack.shots.len();
+        let most = self.most(lights);
+        match self.rate {
+            Rate::Default => Ok(Some(most.min(16))),
+            Rate::Terms(0) => Err(Error::Parameter("no terms: at least one is needed".into())),
+            Rate::Terms(k) if k > most => {
+                Err(Error::Parameter(format!("{k} terms: {lights} pictures give at most {most} in this model")))
+            }
+            Rate::Terms(k) => Ok(Some(k)),
+            Rate::Bytes(bytes) => {
+                // Texture, weights, and what the description says of a layer; generously, so that the file is never larger.
+                let term = self.codec().bytes(stack.width, stack.height) + 6 * lights + 400;
+                let k = bytes.saturating_sub(3000 + 24 * lights) / term;
+                if k == 0 {
+                    return Err(Error::Parameter(format!(
+                        "{bytes} bytes hold no layer: one takes about {term}, and the rest {}",
+                        3000 + 24 * lights
+                    )));
+                }
+                Ok(Some(k.min(most)))
+            }
+            Rate::Psnr(_) => Ok(None),
+        }
+    }
+}
+
+/// Compresses `stack`. `progress` is called with the phase, once a picture while reading.
+///
+/// # Errors
+/// Of reading the stack; [`Error::Parameter`] for parameters that the stack does not allow.
+pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + Sync)) -> Result<Field> {
+    let domain = params.domain().check()?;
+    let terms = params.terms(stack)?;
+    let channels = if params.model == Model::Layers { 1 } else { 3 };
+    if params.codec().channels() != channels {
+        let what = format!(
+            "{:?} has {} channels, the layers of this model {channels}",
+            params.codec(),
+            params.codec().channels()
+        );
+        return Err(Error::Parameter(what));
+    }
+    let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
+    let basis = match params.model {
+        Model::Ptm => Some(Basis::Ptm),
+        Model::Hsh => Some(Basis::Hsh),
+        Model::Imported => return Err(Error::Parameter("a stack is not imported".into())),
+        _ => None,
+    };
+    if let Some(basis) = basis.filter(|b| b.fit(&lights).is_none()) {
+        let what = format!("{} lights do not determine the {} terms of {basis:?}", lights.len(), basis.terms());
+        return Err(Error::Parameter(what));
+    }
+    let matrix = Matrix::read(stack, domain, params.memory, &|| progress("reading"))?;
+    let mut job = Job { stack, params, domain, matrix, lights, progress };
+    let mut field = match (basis, terms) {
+        (Some(basis), _) => job.polynomial(basis)?,
+        (None, Some(terms)) => job.field_of(terms)?,
+        (None, None) => job.search()?,
+    };
+    file::quantise_weights(&mut field);
+    Ok(field)
+}
+
+struct Job<'a> {
+    stack: &'a mut Stack,
+    params: &'a Params,
+    domain: Domain,
+    matrix: Matrix,
+    lights: Vec<[f32; 3]>,
+    progress: &'a (dyn Fn(&str) + Sync),
+}
+
+impl Job<'_> {
+    /// Every so many pieces of the matrix are enough for statistics.
+    fn step(&self) -> usize {
+        (self.matrix.texels / ENOUGH).max(1)
+    }
+
+    fn project(&mut self, projection: &DMatrix<f32>, offset: &[f32]) -> Result<Vec<f32>> {
+        let progress = self.progress;
+        self.matrix.project(self.stack, self.domain, projection, offset, &|| progress("reading"))
+    }
+
+    fn field_of(&mut self, terms: usize) -> Result<Field> {
+        if self.params.model == Model::Layers { self.layers(terms) } else { self.eigenimages(terms) }
+    }
+
+    /// The fewest terms with the PSNR asked for.
+    fn search(&mut self) -> Result<Field> {
+        let Rate::Psnr(wanted) = self.params.rate else { return self.field_of(16) };
+        let most = self.params.most(self.lights.len());
+        let (mut too_few, mut enough) = (0, 1);
+        let mut best = loop {
+            let field = self.field_of(enough)?;
+            let got = self.psnr(&field)?;
+            if got >= wanted {
+                break field;
+            }
+            if enough == most {
+                let what = format!("{wanted} dB are out of reach: {most} layers give {got:.2} dB");
+                return Err(Error::Parameter(what));
+            }
+            too_few = enough;
+            enough = (2 * enough).min(most);
+        };
+        while enough - too_few > 1 {
+            let middle = usize::midpoint(too_few, enough);
+            let field = self.field_of(middle)?;
+            if self.psnr(&field)? >= wanted {
+                (enough, best) = (middle, field);
+            } else {
+                too_few = middle;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Of the texels held and up to 64 lights, after tone mapping.
+    fn psnr(&self, field: &Field) -> Result<f64> {
+        let relighter = Relighter::new(field)?;
+        let n = self.lights.len();
+        let picked: Vec<usize> = (0..n.min(64)).map(|i| i * n / n.min(64)).collect();
+        let mut mse = 0.0;
+        for &i in &picked {
+            let Some(mix) = field.mix_of_light(i) else { continue };
+            let got = relighter.picture(&mix);
+            mse += self.matrix.display_error(i, &got, field.white, self.domain) / picked.len() as f64;
+        }
+        Ok(-10.0 * mse.max(1e-20).log10())
+    }
+
+    fn field(&self, layers: Vec<Texture>, angular: Angular) -> Field {
+        Field {
+            model: self.params.model,
+            width: self.stack.width,
+            height: self.stack.height,
+            domain: self.domain,
+            white: self.stack.white,
+            layers,
+            angular,
+        }
+    }
+
+    fn kernel(&self, default: bool, factors: &DMatrix<f64>) -> Kernel {
+        if self.params.gaussian.unwrap_or(default) {
+            Kernel::gaussian(&self.lights)
+        } else {
+            Kernel::cross_validated(&self.lights, factors, self.domain)
+        }
+    }
+
+    /// The default: principal directions of texels in the space of lights and colours, then layers in a closed loop.
+    fn layers(&mut self, terms: usize) -> Result<Field> {
+        (self.progress)("decomposing");
+        let step = self.step();
+        let means = self.matrix.means(step);
+        let (directions, _) = pca::randomised(&self.matrix, &means, terms + 8, 1, step);
+        let offset: Vec<f32> =
+            directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
+        let planes = self.project(&directions, &offset)?;
+        (self.progress)("encoding");
+        let size = (self.stack.width, self.stack.height);
+        let found = layers::encode(planes, size, self.params.codec(), terms, self.params.closed_loop)?;
+        // Back from principal coordinates to lights and channels: (1 + layers) × (3 lights).
+        let mut columns = found.weights.map(|w| w as f32) * directions.transpose();
+        means.iter().enumerate().for_each(|(i, m)| columns[(0, i)] += m);
+        let k = columns.nrows();
+        let table = DMatrix::from_fn(self.lights.len(), 3 * k, |l, j| columns[(j / 3, 3 * l + j % 3)]);
+        (self.progress)("interpolating");
+        // With H = LLᵀ the products of the layers, rows of this times L are the pictures up to a rotation.
+        let root = psd_root(&found.products);
+        let factors = DMatrix::from_fn(self.lights.len(), 3 * k, |l, j| {
+            (0..k).map(|i| f64::from(table[(l, 3 * i + j % 3)]) * root[(i, j / 3)]).sum()
+        });
+        let kernel = self.kernel(false, &factors);
+        let angular = Angular::Lights { lights: self.lights.clone(), table, kernel };
+        Ok(self.field(found.textures, angular))
+    }
+
+    /// Eigenimages of three channels, σ u, and weights v [Menzel 2012, §4.2].
+    fn eigenimages(&mut self, terms: usize) -> Result<Field> {
+        (self.progress)("decomposing");
+        let n = self.lights.len();
+        let vectors = if self.params.randomised {
+            pca::randomised_lights(&self.matrix, terms, 2, 1)
+        } else {
+            let (gram, white) = pca::light_gram(&self.matrix, 1);
+            pca::lanczos(&gram, &white, terms).0
+        };
+        let terms = vectors.ncols();
+        let table = vectors.map(|v| v as f32);
+        let projection =
+            DMatrix::from_fn(
+                3 * n,
+                3 * terms,
+                |row, out| if row % 3 == out % 3 { table[(row / 3, out / 3)] } else { 0.0 },
+            );
+        let planes = self.project(&projection, &vec![0.0; 3 * terms])?;
+        (self.progress)("encoding");
+        let pixels = self.stack.pixels();
+        let products = DMatrix::from_fn(terms, terms, |i, j| {
+            if i == j {
+                planes[3 * i * pixels..3 * (i + 1) * pixels].iter().map(|v| f64::from(v * v)).sum()
+            } else {
+                0.0
+            }
+        });
+        let layers = self.textures(&planes)?;
+        (self.progress)("interpolating");
+        let factors = vectors * products.map(f64::sqrt);
+        let kernel = self.kernel(true, &factors);
+        let angular = Angular::Lights { lights: self.lights.clone(), table, kernel };
+        Ok(self.field(layers, angular))
+    }
+
+    /// Coefficient planes of a fixed basis.
+    fn polynomial(&mut self, basis: Basis) -> Result<Field> {
+        let fit = basis.fit(&self.lights).unwrap_or_else(|| DMatrix::zeros(basis.terms(), self.lights.len()));
+        let (n, terms) = (self.lights.len(), basis.terms());
+        let projection =
+            DMatrix::from_fn(
+                3 * n,
+                3 * terms,
+                |row, out| if row % 3 == out % 3 { fit[(out / 3, row / 3)] as f32 } else { 0.0 },
+            );
+        let planes = self.project(&projection, &vec![0.0; 3 * terms])?;
+        (self.progress)("encoding");
+        let layers = self.textures(&planes)?;
+        Ok(self.field(layers, Angular::Basis(basis)))
+    }
+
+    fn textures(&self, planes: &[f32]) -> Result<Vec<Texture>> {
+        let pixels = self.stack.pixels();
+        let rgb = planes.chunks(3 * pixels);
+        rgb.map(|p| Texture::encode(self.params.codec(), &p.chunks(pixels).collect::<Vec<_>>(), self.stack.width))
+            .collect()
+    }
+}
+
+/// L with LLᵀ = `matrix`, which is positive semi-definite up to rounding.
+fn psd_root(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let (vectors, values) = pca::eigen(matrix);
+    vectors * DMatrix::from_diagonal(&nalgebra::DVector::from_vec(values).map(f64::sqrt))
+}

@@ -1,0 +1,128 @@
+//! The scale on which a stack is taken apart: log light [Menzel 2012, §4.2], or linear light, or the display's curve.
+//!
+//! A value is light divided by the stack's white, so that the offset δ and the scale of 16-bit floats mean the same for
+//! any source. δ is an offset against the noise floor: light far below it is noise, and the logarithm is nearly linear
+//! there. Deviation: the thesis calls δ "a very small number"; [`Domain::default`] has 1 % of white, because held-out
+//! lights and tone-mapped errors are better with it (`docs/field.md`).
+
+use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+use translume_image::metrics;
+
+/// A monotonic scale of light.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", tag = "kind")]
+pub enum Domain {
+    /// ln(δ + x).
+    Log {
+        /// Offset as a share of white.
+        delta: f32,
+    },
+    /// x.
+    Linear,
+    /// The sRGB curve of x, continued beyond 1 by its own formula.
+    Display,
+    /// PU21, divided by 100, with white at 100 cd/m².
+    Pu21,
+}
+
+impl Default for Domain {
+    fn default() -> Self {
+        Self::Log { delta: 0.01 }
+    }
+}
+
+impl Domain {
+    /// δ of the thesis' own method here: about three codes of an 8-bit file above black.
+    pub const THESIS: Self = Self::Log { delta: 1e-3 };
+
+    pub(crate) fn check(self) -> Result<Self> {
+        match self {
+            Self::Log { delta } if !(delta > 0.0 && delta < 1e3) => {
+                Err(Error::Parameter(format!("an offset of {delta} in the logarithm: it must be positive")))
+            }
+            domain => Ok(domain),
+        }
+    }
+
+    /// The value of light `x`, relative to white; negative light counts as none.
+    pub fn value(self, x: f32) -> f32 {
+        let x = x.max(0.0);
+        match self {
+            Self::Log { delta } => (delta + x).ln(),
+            Self::Linear => x,
+            Self::Display => translume_image::colour::linear_to_srgb(x),
+            Self::Pu21 => (metrics::pu21_encode(100.0 * f64::from(x)) / 100.0) as f32,
+        }
+    }
+
+    /// Light, relative to white, of each value in place; what falls below no light is none.
+    pub fn light(self, values: &mut [f32]) {
+        match self {
+            Self::Log { delta } => values.iter_mut().for_each(|v| *v = (exp(*v) - delta).max(0.0)),
+            Self::Linear => values.iter_mut().for_each(|v| *v = v.max(0.0)),
+            Self::Display => {
+                values.iter_mut().for_each(|v| *v = translume_image::colour::srgb_to_linear(v.max(0.0)));
+            }
+            Self::Pu21 => {
+                // The scale begins at 0.005 cd/m².
+                let light = |v: f32| (metrics::pu21_decode(100.0 * f64::from(v)) / 100.0) as f32;
+                values.iter_mut().for_each(|v| *v = if *v <= 0.0 { 0.0 } else { light(*v) });
+            }
+        }
+    }
+}
+
+/// e^x to a relative error of 2e-7·max(1, |x|), without branches so that it vectorises; clamped where floats end.
+#[inline(always)]
+pub(crate) fn exp(x: f32) -> f32 {
+    let y = (x * std::f32::consts::LOG2_E).clamp(-126.0, 127.0);
+    // Round to nearest by the bits of 1.5 · 2^23; the remainder r is within ±1/2.
+    const MAGIC: f32 = 12_582_912.0;
+    let shifted = y + MAGIC;
+    let whole = shifted - MAGIC;
+    let r = y - whole;
+    // Taylor series of 2^r; the last term left out is below 2e-8.
+    let p = 1.540_353_e-4f32;
+    let p = p * r + 1.333_355_8e-3;
+    let p = p * r + 9.618_129e-3;
+    let p = p * r + 5.550_411e-2;
+    let p = p * r + 0.240_226_5;
+    let p = p * r + 0.693_147_2;
+    let p = p * r + 1.0;
+    let bits = shifted.to_bits().wrapping_sub(MAGIC.to_bits()).wrapping_add(127) << 23;
+    p * f32::from_bits(bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_comes_back_from_every_scale() {
+        for domain in [Domain::default(), Domain::THESIS, Domain::Linear, Domain::Display, Domain::Pu21] {
+            for x in [0.0f32, 1e-4, 0.02, 0.7, 1.0, 40.0] {
+                let mut v = [domain.value(x)];
+                domain.light(&mut v);
+                // PU21 ends at 0.005 cd/m².
+                assert!(
+                    (v[0] - x).abs() <= 4e-6 * (1.0 + x) + if domain == Domain::Pu21 { 6e-5 } else { 0.0 },
+                    "{domain:?}: {x} became {}",
+                    v[0]
+                );
+            }
+            assert_eq!(domain.value(-1.0), domain.value(0.0));
+        }
+    }
+
+    #[test]
+    fn the_quick_exponential_is_exact_to_a_few_bits() {
+        for i in -8700..8800 {
+            let x = i as f32 * 0.01;
+            let exact = f64::from(x).exp();
+            let error = (f64::from(exp(x)) / exact - 1.0).abs();
+            assert!(error < 2e-7 * f64::from(x.abs().max(1.0)) + 1e-7, "{x}: {error:e}");
+        }
+        assert!(exp(-1e30) >= 0.0 && exp(1e30).is_finite());
+    }
+}

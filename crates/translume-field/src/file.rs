@@ -1,0 +1,394 @@
+//! The file of a field: a binary glTF 2.0 container (`.glb`) with KTX2 textures and an extension of our own,
+//! `TRANSLUME_reflectance_field`. `docs/formats/field.md` is its specification.
+
+use crate::basis::Basis;
+use crate::field::{Angular, Field, Model, Relighter};
+use crate::ktx2;
+use crate::sphere::Kernel;
+use crate::texture::Texture;
+use crate::{Domain, Error, Result};
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::path::Path;
+use translume_image::atomic;
+
+/// Version of the extension; another major version is refused.
+pub const VERSION: &str = "1.0";
+const EXTENSION: &str = "TRANSLUME_reflectance_field";
+
+/// The extension's object.
+#[derive(Serialize, Deserialize)]
+struct Manifest {
+    version: String,
+    model: Model,
+    width: usize,
+    height: usize,
+    domain: Domain,
+    white: f32,
+    layers: Vec<LayerEntry>,
+    weights: Weights,
+}
+
+/// A layer: an image of the file, a layer of its array, and the range of each channel.
+#[derive(Serialize, Deserialize)]
+struct LayerEntry {
+    image: usize,
+    layer: usize,
+    low: Vec<f32>,
+    high: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", tag = "kind")]
+enum Weights {
+    /// Unit directions (float32 x, y, z) and weights by light, then column, as integers of `bits` bits in a range for each
+    /// column.
+    Lights {
+        kernel: Kernel,
+        count: usize,
+        #[serde(rename = "directionsView")]
+        directions_view: usize,
+        #[serde(rename = "weightsView")]
+        weights_view: usize,
+        bits: u32,
+        low: Vec<f32>,
+        high: Vec<f32>,
+    },
+    Basis {
+        basis: Basis,
+    },
+}
+
+/// Bits of a stored weight.
+pub fn weight_bits(model: Model) -> u32 {
+    if matches!(model, Model::LogPca | Model::LinearPca) { 8 } else { 16 }
+}
+
+/// A weight as the file stores it: what fields are made of before they are measured, so that figures hold for the file.
+pub fn quantise_weights(field: &mut Field) {
+    let bits = weight_bits(field.model);
+    if let Angular::Lights { table, .. } = &mut field.angular {
+        let (codes, low, high) = codes(table, bits);
+        *table = values(&codes, table.nrows(), (&low, &high), bits);
+    }
+}
+
+fn codes(table: &DMatrix<f32>, bits: u32) -> (Vec<u16>, Vec<f32>, Vec<f32>) {
+    let most = ((1u32 << bits) - 1) as f32;
+    let (low, high): (Vec<f32>, Vec<f32>) = table.column_iter().map(|c| (c.min(), c.max())).unzip();
+    let code = |i: usize, j: usize| {
+        let range = high[j] - low[j];
+        if range > 0.0 { ((table[(i, j)] - low[j]) / range * most + 0.5) as u16 } else { 0 }
+    };
+    let codes = (0..table.nrows()).flat_map(|i| (0..table.ncols()).map(move |j| code(i, j))).collect();
+    (codes, low, high)
+}
+
+fn values(codes: &[u16], rows: usize, (low, high): (&[f32], &[f32]), bits: u32) -> DMatrix<f32> {
+    let most = ((1u32 << bits) - 1) as f32;
+    DMatrix::from_fn(rows, low.len(), |i, j| low[j] + f32::from(codes[i * low.len() + j]) / most * (high[j] - low[j]))
+}
+
+/// Writes a field; it appears whole or not at all. `command` says how it was made.
+///
+/// # Errors
+/// [`Error::Picture`] when the file cannot be written.
+pub fn write(path: &Path, field: &Field, command: &str) -> Result<()> {
+    Ok(atomic::write_bytes(path, &to_bytes(field, command))?)
+}
+
+/// The bytes of the file.
+pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
+    let (mut binary, mut views, mut images) = (Vec::new(), Vec::new(), Vec::new());
+    let mut add = |bytes: &[u8]| {
+        binary.resize(usize::next_multiple_of(binary.len(), 16), 0u8);
+        views.push(json!({ "buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len() }));
+        binary.extend_from_slice(bytes);
+        views.len() - 1
+    };
+    let mut layers: Vec<LayerEntry> = Vec::new();
+    // Layers of one codec in a row are one array.
+    for run in field.layers.chunk_by(|a, b| a.codec == b.codec) {
+        let data: Vec<&[u8]> = run.iter().map(|l| &l.data[..]).collect();
+        let view = add(&ktx2::write(run[0].codec, (field.width, field.height), &data));
+        let entry = |(i, l): (usize, &Texture)| {
+            let n = l.codec.channels();
+            LayerEntry { image: images.len(), layer: i, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() }
+        };
+        layers.extend(run.iter().enumerate().map(entry));
+        images
+            .push(json!({ "mimeType": "image/ktx2", "bufferView": view, "name": format!("layers {}", images.len()) }));
+    }
+    let weights = match &field.angular {
+        Angular::Basis(basis) => Weights::Basis { basis: *basis },
+        Angular::Lights { lights, table, kernel } => {
+            let bits = weight_bits(field.model);
+            let (codes, low, high) = codes(table, bits);
+            let packed: Vec<u8> = match bits {
+                8 => codes.iter().map(|c| *c as u8).collect(),
+                _ => codes.iter().flat_map(|c| c.to_le_bytes()).collect(),
+            };
+            let directions: Vec<u8> = lights.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+            let (directions_view, weights_view) = (add(&directions), add(&packed));
+            Weights::Lights { kernel: *kernel, count: lights.len(), directions_view, weights_view, bits, low, high }
+        }
+    };
+    let manifest = Manifest {
+        version: VERSION.into(),
+        model: field.model,
+        width: field.width,
+        height: field.height,
+        domain: field.domain,
+        white: field.white,
+        layers,
+        weights,
+    };
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    let document = json!({
+        "asset": {
+            "version": "2.0",
+            "generator": format!("translume {}", env!("CARGO_PKG_VERSION")),
+            "extras": { "command": command },
+        },
+        "extensionsUsed": [EXTENSION],
+        "buffers": [{ "byteLength": binary.len() }],
+        "bufferViews": views,
+        "images": images,
+        "extensions": { EXTENSION: manifest },
+    });
+    container(document.to_string().into_bytes(), &binary)
+}
+
+/// Header, JSON chunk, binary chunk.
+fn container(mut text: Vec<u8>, binary: &[u8]) -> Vec<u8> {
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let length = 12 + 8 + text.len() + 8 + binary.len();
+    let mut out = Vec::with_capacity(length);
+    out.extend(b"glTF");
+    [2, length as u32, text.len() as u32].iter().for_each(|v| out.extend(v.to_le_bytes()));
+    out.extend(b"JSON");
+    out.extend(text);
+    out.extend((binary.len() as u32).to_le_bytes());
+    out.extend(b"BIN\0");
+    out.extend(binary);
+    out
+}
+
+/// Reads a field.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] for what is no field, damaged or truncated; [`Error::Unsupported`] for one of another
+/// major version.
+pub fn read(path: &Path) -> Result<Field> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    from_bytes(&bytes, path)
+}
+
+/// [`read`] of bytes in memory; `path` stands in messages.
+///
+/// # Errors
+/// As [`read`].
+pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Field> {
+    let invalid = |what: String| Error::invalid(path, what);
+    let (text, binary) = chunks(bytes).map_err(invalid)?;
+    let document: Value = serde_json::from_slice(text).map_err(|e| invalid(format!("its JSON is damaged: {e}")))?;
+    let extension = &document["extensions"][EXTENSION];
+    let version = extension["version"].as_str().ok_or_else(|| invalid("a glTF file, but no field".into()))?;
+    let major = |v: &str| v.split('.').next().map(str::to_owned);
+    if major(version) != major(VERSION) {
+        let what = format!("a field of format version {version}; this program reads {VERSION}");
+        return Err(Error::Unsupported { path: path.to_owned(), what });
+    }
+    let manifest: Manifest =
+        serde_json::from_value(extension.clone()).map_err(|e| invalid(format!("its description is damaged: {e}")))?;
+    let field = assemble(manifest, &document, binary).map_err(invalid)?;
+    // Everything that relighting needs fits together.
+    Relighter::new(&field).map_err(|e| invalid(e.to_string()))?;
+    Ok(field)
+}
+
+/// The JSON and the binary chunk.
+fn chunks(bytes: &[u8]) -> std::result::Result<(&[u8], &[u8]), String> {
+    let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes);
+    if !bytes.starts_with(b"glTF") {
+        return Err("not a field (a .glb file that `translume field compress` wrote is wanted)".into());
+    }
+    let cut = || "the file ends early (truncated)".to_owned();
+    let length = word(8).ok_or_else(cut)? as usize;
+    if length > bytes.len() {
+        return Err(cut());
+    }
+    let chunk = |at: usize, kind: &[u8]| {
+        let n = word(at).ok_or_else(cut)? as usize;
+        if bytes.get(at + 4..at + 8) != Some(kind) {
+            return Err("its chunks are not JSON and BIN (damaged)".to_owned());
+        }
+        let end = (at + 8).checked_add(n).ok_or_else(cut)?;
+        bytes.get(at + 8..end).map(|data| (data, end)).ok_or_else(cut)
+    };
+    let (text, end) = chunk(12, b"JSON")?;
+    Ok((text, chunk(end, b"BIN\0")?.0))
+}
+
+fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result::Result<Field, String> {
+    let view = |index: usize| {
+        let view = &document["bufferViews"][index];
+        let number = |key: &str| view[key].as_u64().and_then(|v| usize::try_from(v).ok());
+        let range = number("byteOffset").zip(number("byteLength"));
+        let range = range.and_then(|(start, n)| Some(start..start.checked_add(n)?));
+        range.and_then(|r| binary.get(r)).ok_or_else(|| format!("buffer view {index} is not in the file (truncated?)"))
+    };
+    let (w, h) = (manifest.width, manifest.height);
+    let mut layers = Vec::new();
+    for (i, entry) in manifest.layers.iter().enumerate() {
+        let image =
+            document["images"][entry.image]["bufferView"].as_u64().ok_or_else(|| format!("layer {i} has no image"))?;
+        let (codec, size, data) = ktx2::read(view(image as usize)?)?;
+        let data =
+            data.get(entry.layer).filter(|_| size == (w, h)).ok_or_else(|| format!("layer {i} is not in its image"))?;
+        let n = codec.channels();
+        let range = |v: &[f32]| {
+            (v.len() == n && v.iter().all(|x| x.is_finite())).then(|| std::array::from_fn(|c| v[c.min(n - 1)]))
+        };
+        let (low, high) = range(&entry.low).zip(range(&entry.high)).ok_or_else(|| format!("layer {i} has no range"))?;
+        layers.push(Texture { codec, data: data.to_vec(), low, high });
+    }
+    let angular = match manifest.weights {
+        Weights::Basis { basis } => Angular::Basis(basis),
+        Weights::Lights { kernel, count, directions_view, weights_view, bits, low, high } => {
+            let directions = floats(view(directions_view)?);
+            let lights: Vec<[f32; 3]> = directions.as_chunks::<3>().0.to_vec();
+            if lights.len() != count || lights.iter().any(|l| (l.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() > 1e-2)
+            {
+                return Err(format!("{count} unit directions are wanted"));
+            }
+            let packed = view(weights_view)?;
+            let codes: Vec<u16> = match bits {
+                8 => packed.iter().map(|b| u16::from(*b)).collect(),
+                16 => packed.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect(),
+                _ => return Err(format!("weights of {bits} bits")),
+            };
+            let finite = low.iter().chain(&high).all(|v| v.is_finite());
+            if low.len() != high.len() || !finite || count.checked_mul(low.len()) != Some(codes.len()) {
+                return Err("the weights do not fit the lights (truncated?)".into());
+            }
+            check(kernel)?;
+            Angular::Lights { table: values(&codes, count, (&low, &high), bits), lights, kernel }
+        }
+    };
+    if !(manifest.white > 0.0 && manifest.white.is_finite()) {
+        return Err("its white is no positive number".into());
+    }
+    let domain = manifest.domain.check().map_err(|e| e.to_string())?;
+    Ok(Field { model: manifest.model, width: w, height: h, domain, white: manifest.white, layers, angular })
+}
+
+fn check(kernel: Kernel) -> std::result::Result<(), String> {
+    let sound = match kernel {
+        Kernel::Gaussian { width } => width > 0.0,
+        Kernel::Surface { rough, width, noise } => (0.0..=1.0).contains(&rough) && width > 0.0 && noise >= 0.0,
+    };
+    if sound { Ok(()) } else { Err("its interpolation is damaged".into()) }
+}
+
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::texture::Codec;
+
+    fn fields() -> Vec<Field> {
+        let plane: Vec<f32> = (0..35).map(|i| (i as f32 * 0.3).sin()).collect();
+        let lights = vec![[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8]];
+        let field = |model, layers: Vec<Texture>, columns: usize, kernel| Field {
+            model,
+            width: 7,
+            height: 5,
+            domain: Domain::default(),
+            white: 3.5,
+            layers,
+            angular: Angular::Lights {
+                lights: lights.clone(),
+                table: DMatrix::from_fn(3, columns, |i, j| (i * j) as f32 * 0.37 - 1.0),
+                kernel,
+            },
+        };
+        let one = Texture::encode(Codec::Bc4, &[&plane], 7).unwrap();
+        let rgb = Texture::encode(Codec::Bc1, &[&plane, &plane, &plane], 7).unwrap();
+        let surface = Kernel::Surface { rough: 0.3, width: 0.4, noise: 0.01 };
+        let mut ptm = field(Model::Ptm, vec![rgb.clone(); 6], 6, surface);
+        ptm.angular = Angular::Basis(Basis::Ptm);
+        vec![
+            field(Model::Layers, vec![one.clone(), one], 9, surface),
+            field(Model::LogPca, vec![rgb.clone(), rgb], 2, Kernel::Gaussian { width: 0.5 }),
+            ptm,
+        ]
+    }
+
+    #[test]
+    fn fields_come_back_as_they_were() {
+        for mut field in fields() {
+            quantise_weights(&mut field);
+            let bytes = to_bytes(&field, "translume field compress x");
+            let got = from_bytes(&bytes, Path::new("f")).unwrap();
+            assert_eq!(got.layers, field.layers);
+            let same =
+                (got.domain, got.white, got.model, got.width) == (field.domain, field.white, field.model, field.width);
+            assert!(same && got.lights() == field.lights());
+            match (got.mix_of_light(2), field.mix_of_light(2)) {
+                (Some(got), Some(put)) => {
+                    let values =
+                        |m: &Mix| m.constant.iter().chain(m.layers.iter().flatten()).copied().collect::<Vec<f32>>();
+                    assert!(values(&got).iter().zip(values(&put)).all(|(a, b)| (a - b).abs() < 1e-6));
+                }
+                (got, put) => assert!(got.is_none() && put.is_none()),
+            }
+        }
+    }
+
+    use crate::field::Mix;
+
+    #[test]
+    fn sixteen_bits_change_a_weight_by_no_more_than_half_a_step() {
+        let mut field = fields().swap_remove(0);
+        let before = field.mix_of_light(2).unwrap();
+        quantise_weights(&mut field);
+        let after = field.mix_of_light(2).unwrap();
+        // Columns j hold −1 … 0.74 j − 1.
+        for (j, (a, b)) in after.layers.iter().flatten().zip(before.layers.iter().flatten()).enumerate() {
+            assert!((a - b).abs() <= 0.51 * 0.74 * (j + 3) as f32 / 65535.0 + 1e-6, "{j}: {a} {b}");
+        }
+    }
+
+    #[test]
+    fn truncated_and_damaged_files_are_errors_and_never_panics() {
+        for field in fields() {
+            let bytes = to_bytes(&field, "");
+            for cut in (0..bytes.len()).step_by(3) {
+                assert!(from_bytes(&bytes[..cut], Path::new("f")).is_err(), "{cut}");
+            }
+            for at in (0..bytes.len()).step_by(2) {
+                for value in [0, b'9', b'-', 0xff] {
+                    let mut damaged = bytes.clone();
+                    damaged[at] = value;
+                    let _ = from_bytes(&damaged, Path::new("f"));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn another_major_version_is_refused() {
+        let bytes = to_bytes(&fields()[0], "");
+        let text = String::from_utf8_lossy(&bytes[20..]).into_owned();
+        let at = 20 + text.find("\"version\":\"1.0\"").unwrap() + 11;
+        let mut newer = bytes.clone();
+        newer[at] = b'2';
+        let error = from_bytes(&newer, Path::new("f.glb")).unwrap_err().to_string();
+        assert!(error.starts_with("f.glb: a field of format version 2.0"), "{error}");
+    }
+}

@@ -1,0 +1,33 @@
+//! Reflectance fields: stacks of pictures of one view under many lights, compressed and relit.
+//!
+//! [`Stack`] finds pictures and the directions of their lights, [`compress()`] makes a [`Field`] of them, [`Relighter`]
+//! shows the field under any light, [`file`] keeps it. The method is chapter 4 of N. Menzel's thesis on the
+//! simplification of materials (2012): logarithm, principal components, 8 bits, block compression. What the default
+//! model does otherwise, and what that brings, is in `docs/field.md`.
+//!
+//! Directions point from the object to the light: x right, y up, z to the camera.
+
+pub mod basis;
+mod compress;
+mod domain;
+pub mod environment;
+mod error;
+mod field;
+pub mod file;
+mod ktx2;
+mod layers;
+pub mod lights;
+pub mod matrix;
+pub mod measure;
+pub mod pca;
+pub mod probe;
+pub mod relightlab;
+pub mod sphere;
+mod stack;
+pub mod texture;
+
+pub use compress::{MOST_TERMS, Params, Rate, compress};
+pub use domain::Domain;
+pub use error::{Error, Result};
+pub use field::{Angular, Field, Mix, Model, Relighter};
+pub use stack::{FEWEST, Stack};

@@ -1,0 +1,192 @@
+//! A stack of pictures: one view, one light each. Pictures are read when they are needed and forgotten after.
+
+use crate::lights::{self, Shot};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use translume_image::colour::Space;
+use translume_image::{Format, read_codes, read_picture};
+
+/// Fewest pictures that make a field.
+pub const FEWEST: usize = 3;
+
+/// A stack on disk.
+#[derive(Clone, Debug)]
+pub struct Stack {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Pictures and lights.
+    pub shots: Vec<Shot>,
+    /// Width of every picture.
+    pub width: usize,
+    /// Height of every picture.
+    pub height: usize,
+    /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit at
+    /// 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
+    pub white: f32,
+    /// What is odd about the stack but no reason to stop.
+    pub warnings: Vec<String>,
+}
+
+/// Counts of samples that had to be changed.
+#[derive(Debug, Default)]
+struct Repairs {
+    non_finite: AtomicUsize,
+    negative: AtomicUsize,
+    black: AtomicUsize,
+}
+
+impl Stack {
+    /// Opens the stack in `folder` with the lights of `list` or of the list found there.
+    ///
+    /// # Errors
+    /// As [`lights::find`]; [`Error::Invalid`] for fewer than [`FEWEST`] pictures and for float stacks without light.
+    pub fn open(folder: &Path, list: Option<&Path>) -> Result<Self> {
+        let (shots, unlit) = lights::find(folder, list)?;
+        let mut stack = Self::of(folder, shots)?;
+        if unlit > 0 {
+            stack
+                .warnings
+                .push(format!("{}: {unlit} pictures are not in the list of lights and are left out", folder.display()));
+        }
+        Ok(stack)
+    }
+
+    /// A stack of `shots`; sizes and white are read off its pictures.
+    ///
+    /// # Errors
+    /// As [`Stack::open`].
+    pub fn of(folder: &Path, shots: Vec<Shot>) -> Result<Self> {
+        if shots.len() < FEWEST {
+            let what = format!("{} pictures with lights: a field needs {FEWEST} or more", shots.len());
+            return Err(Error::invalid(folder, what));
+        }
+        let first = read_picture(&shots[0].path)?;
+        let (width, height) = first.pixels.dimensions();
+        let mut stack = Self {
+            folder: folder.to_owned(),
+            width: width as usize,
+            height: height as usize,
+            white: 1.0,
+            warnings: Vec::new(),
+            shots,
+        };
+        if is_float(&stack.shots[0].path)? {
+            stack.white = stack.adaptive_white()?;
+        }
+        Ok(stack)
+    }
+
+    /// Number of pixels of a picture.
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// Reads the picture of light `i`: interleaved RGB relative to [`Stack::white`], negative and not finite samples
+    /// set to 0.
+    ///
+    /// # Errors
+    /// Of reading, and [`Error::Invalid`] when its size is not that of the first.
+    pub fn read(&self, i: usize) -> Result<Vec<f32>> {
+        self.read_counting(i, &Repairs::default())
+    }
+
+    fn read_counting(&self, i: usize, repairs: &Repairs) -> Result<Vec<f32>> {
+        let path = &self.shots[i].path;
+        let picture = read_picture(path)?;
+        let (w, h) = picture.pixels.dimensions();
+        if (w as usize, h as usize) != (self.width, self.height) {
+            let (w0, h0) = (self.width, self.height);
+            let what = format!(
+                "{w} × {h} pixels, but {} has {w0} × {h0}: all pictures of a stack show one view",
+                self.shots[0].path.display()
+            );
+            return Err(Error::invalid(path, what));
+        }
+        let mut rgb = picture.pixels.into_raw();
+        let (scale, mut non_finite, mut negative, mut most) = (1.0 / self.white, 0, 0, 0.0f32);
+        for v in &mut rgb {
+            if !v.is_finite() {
+                non_finite += 1;
+                *v = 0.0;
+            } else if *v < 0.0 {
+                // Colours outside Rec. 709 are a little negative; that is no damage.
+                negative += usize::from(*v < -0.05 * self.white);
+                *v = 0.0;
+            }
+            *v *= scale;
+            most = most.max(*v);
+        }
+        repairs.non_finite.fetch_add(non_finite, Ordering::Relaxed);
+        repairs.negative.fetch_add(negative, Ordering::Relaxed);
+        repairs.black.fetch_add(usize::from(most == 0.0), Ordering::Relaxed);
+        Ok(rgb)
+    }
+
+    /// Calls `each` with the number and the samples of every picture, several at a time; tells `progress` of each.
+    ///
+    /// # Errors
+    /// The first of reading or of `each`; [`Error::Invalid`] when all pictures are black. Warnings are added for what was repaired.
+    pub fn for_each(
+        &mut self,
+        each: impl Fn(usize, Vec<f32>) -> Result<()> + Sync,
+        progress: &(dyn Fn() + Sync),
+    ) -> Result<()> {
+        let repairs = Repairs::default();
+        let stack = &*self;
+        (0..stack.shots.len()).into_par_iter().with_max_len(1).try_for_each(|i| {
+            each(i, stack.read_counting(i, &repairs)?)?;
+            progress();
+            Ok::<_, Error>(())
+        })?;
+        let (black, n) = (repairs.black.into_inner(), self.shots.len());
+        if black == n {
+            return Err(Error::invalid(&self.folder, "all pictures are black: nothing to compress"));
+        }
+        let folder = self.folder.display();
+        let mut warn = |count: usize, what: &str| {
+            if count > 0 {
+                self.warnings.push(format!("{folder}: {count} {what}"));
+            }
+        };
+        warn(black, "of the pictures are all black and are kept; take lights that failed out of the list");
+        warn(repairs.non_finite.into_inner(), "samples are NaN or infinite, taken for 0");
+        warn(repairs.negative.into_inner(), "samples are far below zero, taken for 0");
+        Ok(())
+    }
+
+    /// Mean luminance of lit pixels, over up to 16 pictures, divided by 0.18.
+    fn adaptive_white(&self) -> Result<f32> {
+        let n = self.shots.len();
+        let count = n.min(16);
+        let picked: Vec<usize> = (0..count).map(|i| i * n / count).collect();
+        let y = Space::REC709.luminance_weights().map(|w| w as f32);
+        let parts: Result<Vec<(f64, usize)>> = picked
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let rgb = self.read(i)?;
+                let luminance = |p: &[f32; 3]| y[0] * p[0] + y[1] * p[1] + y[2] * p[2];
+                let pixels = rgb.as_chunks::<3>().0;
+                let floor = 1e-3 * pixels.iter().map(luminance).fold(0.0, f32::max);
+                let lit = pixels.iter().map(luminance).filter(|l| *l > floor);
+                Ok(lit.fold((0.0, 0), |(s, n), l| (s + f64::from(l), n + 1)))
+            })
+            .collect();
+        let (sum, lit) = parts?.into_iter().fold((0.0, 0), |(s, n), (s1, n1)| (s + s1, n + n1));
+        if lit == 0 {
+            return Err(Error::invalid(&self.folder, "the pictures are black: nothing to compress"));
+        }
+        Ok((sum / lit as f64 / 0.18) as f32)
+    }
+}
+
+/// Whether a file holds light beyond white.
+fn is_float(path: &Path) -> Result<bool> {
+    Ok(match Format::of_file(path)? {
+        Format::Exr | Format::Radiance | Format::Pfm => true,
+        Format::Tiff => read_codes(path)?.is_linear(),
+        _ => false,
+    })
+}

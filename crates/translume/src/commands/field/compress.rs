@@ -1,0 +1,209 @@
+//! `translume field compress`.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use clap::ValueEnum;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use translume_field::{Domain, Model, Params, Rate, Stack, compress, file, texture::Codec};
+
+const EXAMPLES: &str = "\
+Examples:
+  A folder with pictures and an .lp file:
+    translume field compress dome/ -o statue.glb
+
+  As good as 2 MB allow:
+    translume field compress dome/ -o statue.glb --bytes 2000000
+
+  The method of the thesis, with 8 terms:
+    translume field compress dome/ -o statue.glb --model log-pca --terms 8
+
+  Lights from a list elsewhere; PTM, as the RTI tools make it:
+    translume field compress pictures/ --lights dome.lp -o statue.glb --model ptm";
+
+/// Compress a stack of pictures under many lights into one file
+///
+/// The folder holds pictures of one view, each under one light, and a list of the directions to the lights: an RTI .lp
+/// file, lights.csv (file, x, y, z) or a table of directions (lights.txt) in the order of the numbers in the pictures'
+/// names. x is right, y up, z to the camera. Pictures may be PNG, JPEG, TIFF, TGA (encoded: 8 or 16 bits) or OpenEXR,
+/// Radiance, PFM (linear).
+///
+/// The file is a binary glTF with block-compressed KTX2 textures; docs/formats/field.md describes it.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// Folder with the pictures
+    #[arg(value_name = "DIR")]
+    stack: PathBuf,
+    /// Output file
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// List of light directions [default: the one in the folder]
+    #[arg(long, value_name = "FILE")]
+    lights: Option<PathBuf>,
+    /// What to make
+    #[arg(long, value_enum, default_value = "layers")]
+    model: ModelName,
+    /// The same as --model linear-pca
+    #[arg(long, conflicts_with = "model")]
+    linear: bool,
+    /// Number of layers (terms) [default: 16]
+    #[arg(long, value_name = "K", conflicts_with_all = ["bytes", "psnr"])]
+    terms: Option<usize>,
+    /// As many layers as fit into so many bytes
+    #[arg(long, value_name = "N", conflicts_with = "psnr")]
+    bytes: Option<u64>,
+    /// The fewest layers that reach this PSNR in dB after tone mapping, over the pictures of the stack
+    #[arg(long, value_name = "DB")]
+    psnr: Option<f64>,
+    /// Offset δ of the logarithm as a share of white [default: 0.01; log-pca: 0.001]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    delta: Option<f32>,
+    /// Storage of the layers [default: bc4; PCA: bc1; PTM and HSH: rgb8]
+    #[arg(long, value_enum)]
+    codec: Option<CodecName>,
+    /// What is between the lights [default: cross-validated; PCA: gaussian]
+    #[arg(long, value_enum)]
+    interpolation: Option<Between>,
+    /// Memory for the pictures in MiB; a larger stack is read twice
+    #[arg(long, value_name = "MIB", default_value_t = 1536)]
+    memory: usize,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ModelName {
+    /// Layers of one channel in a closed loop, weights in colour
+    Layers,
+    /// Principal components of log light, as the thesis has them
+    LogPca,
+    /// Principal components of linear light
+    LinearPca,
+    /// Polynomial texture maps: 6 terms
+    Ptm,
+    /// Hemispherical harmonics: 9 terms
+    Hsh,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum CodecName {
+    /// One channel, 8 bits a texel
+    R8,
+    /// Three channels, 24 bits a texel
+    Rgb8,
+    /// Three channels, 4 bits a texel
+    Bc1,
+    /// One channel, 4 bits a texel
+    Bc4,
+    /// Three channels, 8 bits a texel
+    Bc7,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Between {
+    /// Matt surfaces, something rough and noise, as leaving out each light finds best
+    CrossValidated,
+    /// The thesis' radial function, 1.5 spacings wide
+    Gaussian,
+}
+
+impl Args {
+    fn params(&self) -> anyhow::Result<Params> {
+        let model = match self.model {
+            _ if self.linear => Model::LinearPca,
+            ModelName::Layers => Model::Layers,
+            ModelName::LogPca => Model::LogPca,
+            ModelName::LinearPca => Model::LinearPca,
+            ModelName::Ptm => Model::Ptm,
+            ModelName::Hsh => Model::Hsh,
+        };
+        if matches!(model, Model::Ptm | Model::Hsh)
+            && (self.terms.is_some() || self.bytes.is_some() || self.psnr.is_some())
+        {
+            return Err(Usage("PTM and HSH have a fixed number of terms: no --terms, --bytes or --psnr".into()).into());
+        }
+        if self.delta.is_some() && !matches!(model, Model::Layers | Model::LogPca) {
+            return Err(Usage("--delta: this model has no logarithm".into()).into());
+        }
+        if self.interpolation.is_some() && matches!(model, Model::Ptm | Model::Hsh) {
+            return Err(Usage("--interpolation: PTM and HSH are functions of the direction themselves".into()).into());
+        }
+        if self.delta.is_some_and(|d| !(d > 0.0 && d.is_finite())) {
+            return Err(Usage("--delta must be a positive number".into()).into());
+        }
+        if self.psnr.is_some_and(|p| !(0.0..=200.0).contains(&p)) {
+            return Err(Usage("--psnr takes decibels between 0 and 200".into()).into());
+        }
+        Ok(Params {
+            model,
+            rate: match (self.terms, self.bytes, self.psnr) {
+                (Some(k), ..) => Rate::Terms(k),
+                (_, Some(n), _) => Rate::Bytes(n as usize),
+                (.., Some(db)) => Rate::Psnr(db),
+                _ => Rate::Default,
+            },
+            domain: self.delta.map(|delta| Domain::Log { delta }),
+            codec: self.codec.map(|c| match c {
+                CodecName::R8 => Codec::R8,
+                CodecName::Rgb8 => Codec::Rgb8,
+                CodecName::Bc1 => Codec::Bc1,
+                CodecName::Bc4 => Codec::Bc4,
+                CodecName::Bc7 => Codec::Bc7,
+            }),
+            gaussian: self.interpolation.map(|b| matches!(b, Between::Gaussian)),
+            memory: self.memory.saturating_mul(1 << 20),
+            ..Params::default()
+        })
+    }
+}
+
+pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
+    let params = args.params()?;
+    prepare(&args.output)?;
+    let start = std::time::Instant::now();
+    let mut stack = Stack::open(&args.stack, args.lights.as_deref())?;
+    let bar = ctx.progress(stack.shots.len() as u64, "reading");
+    let phase = Mutex::new(String::new());
+    let progress = |what: &str| {
+        let mut phase = phase.lock().unwrap_or_else(|p| p.into_inner());
+        if what == "reading" {
+            bar.inc(1);
+        } else if *phase != what {
+            bar.set_message(what.to_owned());
+            what.clone_into(&mut phase);
+        }
+    };
+    let field = compress(&mut stack, &params, &progress)?;
+    for warning in &stack.warnings {
+        ctx.warn(warning);
+    }
+    file::write(&args.output, &field, &ctx.command_line)?;
+    bar.finish_and_clear();
+    let bytes = std::fs::metadata(&args.output)?.len();
+    let mut object = super::describe(&field, bytes);
+    let secs = start.elapsed().as_secs_f64();
+    object["output"] = json!(args.output);
+    object["warnings"] = json!(stack.warnings);
+    object["seconds"] = json!(secs);
+    ctx.text(format_args!(
+        "{}: {} pictures of {} × {} in {} layers, {bytes} bytes, {secs:.1} s",
+        args.output.display(),
+        stack.shots.len(),
+        field.width,
+        field.height,
+        field.layers.len()
+    ))?;
+    ctx.emit_json(object)
+}
+
+/// Finds out, before the work is done, whether there is a place for the result.
+pub(super) fn prepare(output: &Path) -> anyhow::Result<()> {
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if output.is_dir() {
+        anyhow::bail!("{}: is a folder; give the name of a file", output.display());
+    }
+    if !folder.is_dir() {
+        anyhow::bail!("{}: its folder does not exist", output.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,112 @@
+//! `translume field`: stacks of pictures under many lights, compressed, relit, compared.
+
+mod compare;
+mod compress;
+mod exchange;
+mod relight;
+
+use crate::output::Context;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use translume_field::{Angular, Domain, Field, file, sphere::Kernel};
+
+const INFO_EXAMPLES: &str = "\
+Examples:
+  Say what a field holds:
+    translume field info statue.glb
+
+  Its bytes a texel, for a script:
+    translume field info statue.glb --json | jq .bytes_per_texel";
+
+/// Compress pictures of one view under many lights, and relight them
+#[derive(Debug, clap::Subcommand)]
+pub(crate) enum Args {
+    Compress(compress::Args),
+    Relight(relight::Args),
+    Info(InfoArgs),
+    Compare(compare::Args),
+    Lights(exchange::LightsArgs),
+    Import(exchange::ImportArgs),
+    Export(exchange::ExportArgs),
+}
+
+/// Say what a field holds: size, model, layers, bytes, lights
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = INFO_EXAMPLES)]
+pub(crate) struct InfoArgs {
+    /// A field that `field compress` wrote
+    field: PathBuf,
+}
+
+pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
+    match args {
+        Args::Compress(args) => compress::run(&args, ctx),
+        Args::Relight(args) => relight::run(&args, ctx),
+        Args::Info(args) => info(&args, ctx),
+        Args::Compare(args) => compare::run(&args, ctx),
+        Args::Lights(args) => exchange::lights(&args, ctx),
+        Args::Import(args) => exchange::import(&args, ctx),
+        Args::Export(args) => exchange::export(&args, ctx),
+    }
+}
+
+fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
+    let field = file::read(&args.field)?;
+    let bytes = std::fs::metadata(&args.field)?.len();
+    let object = describe(&field, bytes);
+    let mut lines = vec![format!(
+        "{}: {} × {}, {} layers ({}), {bytes} bytes, {:.2} bytes a texel",
+        args.field.display(),
+        field.width,
+        field.height,
+        field.layers.len(),
+        object["model"].as_str().unwrap_or_default(),
+        object["bytes_per_texel"].as_f64().unwrap_or_default()
+    )];
+    let scale = match field.domain {
+        Domain::Log { delta } => format!("ln(δ + x), δ = {delta} of white"),
+        Domain::Linear => "linear".into(),
+        Domain::Display => "sRGB curve".into(),
+        Domain::Pu21 => "PU21".into(),
+    };
+    lines.push(format!("  scale       {scale}"));
+    lines.push(format!("  white       {}", field.white));
+    let between = match &field.angular {
+        Angular::Basis(basis) => format!("functions of the direction: {basis:?}"),
+        Angular::Lights { lights, kernel: Kernel::Gaussian { width }, .. } => {
+            format!("{} lights, Gaussian of width {width:.3} between them", lights.len())
+        }
+        Angular::Lights { lights, kernel: Kernel::Surface { rough, width, noise }, .. } => {
+            format!(
+                "{} lights, between them matt surfaces, {rough} rough of width {width}, noise {noise}",
+                lights.len()
+            )
+        }
+    };
+    lines.push(format!("  lights      {between}"));
+    ctx.text(lines.join("\n"))?;
+    ctx.emit_json(object)
+}
+
+/// What `--json` says of a field in a file of so many bytes.
+fn describe(field: &Field, bytes: u64) -> Value {
+    let texels = (field.width * field.height) as f64;
+    let kernel = match &field.angular {
+        Angular::Lights { kernel, .. } => json!(kernel),
+        Angular::Basis(basis) => json!({ "kind": "basis", "basis": basis }),
+    };
+    json!({
+        "model": field.model,
+        "width": field.width,
+        "height": field.height,
+        "terms": field.layers.len(),
+        "codecs": field.layers.iter().map(|l| l.codec).collect::<Vec<_>>(),
+        "scale": field.domain,
+        "white": field.white,
+        "lights": field.lights().len(),
+        "interpolation": kernel,
+        "bytes": bytes,
+        "texture_bytes": field.texture_bytes(),
+        "bytes_per_texel": field.texture_bytes() as f64 / texels,
+    })
+}

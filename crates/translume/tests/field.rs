@@ -1,0 +1,364 @@
+//! `translume field` through the program: what it makes, and what it says to bad input.
+
+mod common;
+
+use common::translume;
+use std::path::Path;
+use translume_image::{ExrOptions, Picture, Rgb32FImage, read_picture, write_exr, write_png8};
+
+const W: u32 = 48;
+const H: u32 = 32;
+
+/// Directions on the upper hemisphere, the outer ones 70° from the view.
+fn lights(n: usize) -> Vec<[f32; 3]> {
+    (0..n)
+        .map(|i| {
+            let z = 1.0 - 0.66 * (i as f32 + 0.5) / n as f32;
+            let (sin, cos) = (2.4 * i as f32).sin_cos();
+            let s = (1.0 - z * z).sqrt();
+            [s * cos, s * sin, z]
+        })
+        .collect()
+}
+
+/// A wavy surface, matt with a gloss, under a light.
+fn picture(l: [f32; 3]) -> Rgb32FImage {
+    Rgb32FImage::from_fn(W, H, |x, y| {
+        let (u, v) = (x as f32 * 0.35, y as f32 * 0.3);
+        let n = [0.45 * u.sin() * v.cos(), 0.4 * (u * 0.5 + v).cos(), 1.0f32];
+        let length = (n[0] * n[0] + n[1] * n[1] + 1.0).sqrt();
+        let cos = |a: [f32; 3]| (0..3).map(|c| a[c] * n[c]).sum::<f32>().max(0.0) / length;
+        let h = [l[0], l[1], l[2] + 1.0];
+        let h_length = h.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let gloss = 0.3 * (cos(h) / h_length).powi(40);
+        image::Rgb([0.7, 0.45, 0.25].map(|a| a * (0.8 + 0.2 * (x as f32 * 0.2).sin()) * cos(l) + gloss))
+    })
+}
+
+fn write(path: &Path, rgb: Rgb32FImage) {
+    if path.extension().is_some_and(|e| e == "exr") {
+        return write_exr(path, &Picture::new(rgb), &ExrOptions::default()).unwrap();
+    }
+    let code = |v: &f32| (translume_image::colour::linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0 + 0.5) as u8;
+    write_png8(path, (W as usize, H as usize), &rgb.iter().map(code).collect::<Vec<_>>()).unwrap();
+}
+
+/// A stack of `n` pictures in `dir`/stack with an .lp file, and its lights.
+fn stack(dir: &Path, n: usize, ending: &str) -> Vec<[f32; 3]> {
+    let folder = dir.join("stack");
+    std::fs::create_dir(&folder).unwrap();
+    let lights = lights(n);
+    let mut lp = format!("{n}\n");
+    for (i, l) in lights.iter().enumerate() {
+        let name = format!("p {i:02}.{ending}");
+        write(&folder.join(&name), picture(*l));
+        lp += &format!("{name} {} {} {}\n", l[0], l[1], l[2]);
+    }
+    std::fs::write(folder.join("dome.lp"), lp).unwrap();
+    lights
+}
+
+fn json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap()
+}
+
+/// PSNR of light, peak 1.
+fn psnr(path: &Path, truth: &Rgb32FImage) -> f64 {
+    let got = read_picture(path).unwrap();
+    translume_image::metrics::psnr(truth.as_raw(), got.pixels.as_raw(), 1.0)
+}
+
+#[test]
+fn a_stack_becomes_a_field_that_relights_between_its_lights() {
+    let dir = tempfile::tempdir().unwrap();
+    let lights = stack(dir.path(), 24, "png");
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    let made = json(&run(&["field", "compress", "stack", "-o", "f.glb", "--json"]).ok());
+    assert_eq!((&made["terms"], &made["lights"], &made["model"]), (&16.into(), &24.into(), &"layers".into()));
+    assert_eq!(made["bytes_per_texel"], 8.0);
+    // A direction between the lights, against the truth; the nearest picture is much farther off.
+    let between = [0.31f32, 0.22, 0.925];
+    let truth = picture(between);
+    run(&["field", "relight", "f.glb", "--light", "0.31,0.22,0.925", "-o", "o.exr"]).ok();
+    let got = psnr(&dir.path().join("o.exr"), &truth);
+    let distance = |l: &&[f32; 3]| (0..3).map(|c| (l[c] - between[c]).powi(2)).sum::<f32>();
+    let nearest = lights.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
+    let next = translume_image::metrics::psnr(truth.as_raw(), picture(*nearest).as_raw(), 1.0);
+    assert!(got > 30.0 && got > next + 5.0, "{got:.1} dB, the nearest picture {next:.1} dB");
+    // Two lights are the sum of each.
+    run(&["field", "relight", "f.glb", "--light", "0.31,0.22,0.925", "--light", "-1,0,1:0,1,0", "-o", "two.exr"]).ok();
+    run(&["field", "relight", "f.glb", "--light", "-1,0,1", "-o", "one.exr"]).ok();
+    let pixels = |name: &str| read_picture(&dir.path().join(name)).unwrap().pixels.into_raw();
+    let (a, b, sum) = (pixels("o.exr"), pixels("one.exr"), pixels("two.exr"));
+    assert!((0..sum.len()).all(|i| {
+        let expected = a[i] + if i % 3 == 1 { b[i] } else { 0.0 };
+        (sum[i] - expected).abs() < 2e-3 * (1.0 + expected)
+    }));
+    let info = json(&run(&["field", "info", "f.glb", "--json"]).ok());
+    assert_eq!((&info["terms"], &info["width"]), (&16.into(), &W.into()));
+    assert!(run(&["field", "info", "f.glb"]).ok().contains("16 layers (layers)"));
+    let compared = json(&run(&["field", "compare", "stack", "f.glb", "--json"]).ok());
+    assert!(compared["own_lights"] == true && compared["psnr"].as_f64().unwrap() > 38.0, "{compared}");
+}
+
+#[test]
+fn every_model_makes_a_field_and_the_default_is_nearest_at_equal_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 20, "exr");
+    let run = |arguments: &[&str]| json(&translume(dir.path(), arguments).ok());
+    let mut rms = std::collections::HashMap::new();
+    for (model, options) in [
+        ("layers", &["--terms", "8"][..]),
+        ("log-pca", &["--terms", "8"]),
+        ("linear-pca", &["--terms", "8"]),
+        ("ptm", &["--codec", "bc1"]),
+        ("hsh", &["--codec", "bc1"]),
+    ] {
+        let mut arguments = vec!["field", "compress", "stack", "-o", "f.glb", "--model", model, "--json"];
+        arguments.extend(options);
+        let made = run(&arguments);
+        assert_eq!(made["model"], model);
+        assert!(made["bytes_per_texel"].as_f64().unwrap() <= 4.5, "{made}");
+        let compared = run(&["field", "compare", "stack", "f.glb", "--json"]);
+        rms.insert(model, compared["rms"].as_f64().unwrap());
+    }
+    let ours = rms["layers"];
+    assert!(rms.iter().all(|(m, r)| *m == "layers" || *r > 1.2 * ours), "{rms:?}");
+}
+
+#[test]
+fn bytes_and_psnr_decide_the_number_of_layers() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 12, "png");
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    let made = json(&run(&["field", "compress", "stack", "-o", "f.glb", "--bytes", "14000", "--json"]).ok());
+    let bytes = std::fs::metadata(dir.path().join("f.glb")).unwrap().len();
+    assert!(bytes <= 14000 && bytes > 8000 && made["bytes"] == bytes, "{bytes}");
+    let coarse = json(&run(&["field", "compress", "stack", "-o", "f.glb", "--psnr", "32", "--json"]).ok());
+    let compared = json(&run(&["field", "compare", "stack", "f.glb", "--json"]).ok());
+    assert!(compared["psnr"].as_f64().unwrap() > 31.5, "{compared}");
+    let fine = json(&run(&["field", "compress", "stack", "-o", "f.glb", "--psnr", "44", "--json"]).ok());
+    assert!(fine["terms"].as_u64() > coarse["terms"].as_u64(), "{fine} {coarse}");
+    let error = run(&["field", "compress", "stack", "-o", "f.glb", "--bytes", "2000"]).error(1);
+    assert!(error.contains("hold no layer"), "{error}");
+    let error = run(&["field", "compress", "stack", "-o", "f.glb", "--psnr", "190"]).error(1);
+    assert!(error.contains("out of reach"), "{error}");
+}
+
+#[test]
+fn a_stack_larger_than_its_memory_gives_nearly_the_same_field() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 12, "exr");
+    let run = |arguments: &[&str]| json(&translume(dir.path(), arguments).ok());
+    let mut psnr = Vec::new();
+    for memory in ["1536", "0"] {
+        run(&["field", "compress", "stack", "-o", "f.glb", "--memory", memory, "--json"]);
+        psnr.push(run(&["field", "compare", "stack", "f.glb", "--json"])["psnr"].as_f64().unwrap());
+    }
+    assert!(psnr[1] > 35.0 && psnr[1] > psnr[0] - 3.0, "{psnr:?}");
+}
+
+#[test]
+fn an_environment_map_and_a_disc_light_a_field() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 24, "exr");
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    run(&["field", "compress", "stack", "-o", "f.glb"]).ok();
+    // A map that is dark but for a spot at z, of the light of one lamp: the picture of that lamp.
+    let (w, h) = (64u32, 32u32);
+    let spot = |x: u32, y: u32| (x == 31 || x == 32) && (y == 15 || y == 16);
+    let area = 4.0 * (std::f32::consts::TAU / w as f32) * (std::f32::consts::PI / h as f32);
+    let map =
+        Rgb32FImage::from_fn(w, h, |x, y| image::Rgb([if spot(x, y) { std::f32::consts::PI / area } else { 0.0 }; 3]));
+    write_exr(&dir.path().join("map.exr"), &Picture::new(map), &ExrOptions::default()).unwrap();
+    run(&["field", "relight", "f.glb", "--env", "map.exr", "-o", "env.exr"]).ok();
+    run(&["field", "relight", "f.glb", "--light", "0,0,1", "-o", "one.exr"]).ok();
+    run(&["field", "relight", "f.glb", "--light", "0,0,1", "--size", "8", "-o", "disc.exr"]).ok();
+    let one = read_picture(&dir.path().join("one.exr")).unwrap().pixels;
+    assert!(psnr(&dir.path().join("env.exr"), &one) > 35.0);
+    assert!(psnr(&dir.path().join("disc.exr"), &one) > 35.0);
+    // Light from below the horizon is none of the stack's.
+    let behind = Rgb32FImage::from_fn(w, h, |x, _| image::Rgb([if x < 2 { 1.0 } else { 0.0 }; 3]));
+    write_exr(&dir.path().join("behind.exr"), &Picture::new(behind), &ExrOptions::default()).unwrap();
+    let dark = run(&["field", "relight", "f.glb", "--env", "behind.exr", "-o", "dark.exr", "--json"]);
+    assert!(dark.stderr.contains("left out"), "{}", dark.stderr);
+    let dark = json(&dark.ok());
+    assert!(dark["light_left_out"].as_f64().unwrap() > 0.9, "{dark}");
+}
+
+#[test]
+fn a_report_has_the_plots_and_pictures() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 12, "exr");
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    run(&["field", "compress", "stack", "-o", "f.glb"]).ok();
+    let found = json(&run(&["field", "compare", "stack", "f.glb", "--report", "page", "--json"]).ok());
+    let curve = |name: &str| -> Vec<f64> {
+        found["report"][name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    for name in ["rms_log_pca", "rms_linear_pca"] {
+        let curve = curve(name);
+        assert!(curve.len() == 12 && curve[11] < 0.1 * curve[0], "{curve:?}");
+    }
+    let page = std::fs::read_to_string(dir.path().join("page/index.html")).unwrap();
+    for file in ["rms.svg", "worst-this-field.png", "median-as-photographed.png"] {
+        assert!(page.contains(file) && dir.path().join("page").join(file).is_file(), "{file}");
+    }
+}
+
+/// The error line of `field compress stack -o f.glb` and more options; no file is left behind.
+#[track_caller]
+fn refused(dir: &Path, options: &[&str], status: i32, expected: &str) {
+    let mut arguments = vec!["field", "compress", "stack", "-o", "f.glb"];
+    arguments.extend(options);
+    let before: Vec<_> = std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name()).collect();
+    let error = translume(dir, &arguments).error(status);
+    assert!(error.contains(expected), "{error}, but {expected} was expected");
+    let after: Vec<_> = std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(before.len(), after.len(), "something was left behind: {after:?}");
+}
+
+#[test]
+fn stacks_that_are_none_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    stack(here, 6, "png");
+    let lp = here.join("stack/dome.lp");
+    let text = std::fs::read_to_string(&lp).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    // A direction is missing; a picture is missing; one picture alone.
+    std::fs::write(&lp, text.replace(lines[3], "p 02.png")).unwrap();
+    refused(here, &[], 1, "dome.lp: line 4: a picture and its direction x y z are wanted");
+    std::fs::write(&lp, text.replace("p 03", "q 03")).unwrap();
+    refused(here, &[], 1, "the picture q 03.png is not there");
+    std::fs::write(&lp, format!("1\n{}\n", lines[1])).unwrap();
+    refused(here, &[], 1, "1 pictures with lights: a field needs 3 or more");
+    std::fs::remove_file(&lp).unwrap();
+    refused(here, &[], 1, "no light directions");
+    std::fs::write(here.join("stack/lights.txt"), "0 0 1\n1 0 1\n").unwrap();
+    refused(here, &[], 1, "2 directions for 6 pictures");
+    std::fs::write(&lp, &text).unwrap();
+    // More terms than pictures.
+    refused(here, &["--model", "log-pca", "--terms", "7"], 1, "7 terms: 6 pictures give at most 6");
+    refused(here, &["--terms", "0"], 1, "no terms");
+    refused(here, &["--model", "hsh"], 1, "6 lights do not determine the 9 terms");
+    refused(here, &["--codec", "bc1"], 1, "3 channels, the layers of this model 1");
+    refused(here, &["--model", "ptm", "--terms", "6"], 2, "fixed number of terms");
+    refused(here, &["--model", "ptm", "--delta", "0.1"], 2, "no logarithm");
+    refused(here, &["--delta", "-1"], 2, "positive");
+    // A picture of another size, and a damaged one.
+    let odd = Rgb32FImage::from_pixel(W + 1, H, image::Rgb([0.5; 3]));
+    write_exr(&here.join("stack/p 04.exr"), &Picture::new(odd), &ExrOptions::default()).unwrap();
+    std::fs::write(&lp, text.replace("p 04.png", "p 04.exr")).unwrap();
+    refused(here, &[], 1, "p 04.exr: 49 × 32 pixels, but");
+    std::fs::write(here.join("stack/p 04.exr"), b"\x76\x2f\x31\x01 and no more").unwrap();
+    refused(here, &[], 1, "p 04.exr: ");
+}
+
+#[test]
+fn black_pictures_and_bad_pixels_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let lights = stack(here, 8, "exr");
+    let path = |i: usize| here.join(format!("stack/p {i:02}.exr"));
+    let black = || Rgb32FImage::new(W, H);
+    // One black picture, one with pixels that are no light: said, and the rest is used.
+    write(&path(3), black());
+    let mut bad = picture(lights[5]);
+    bad.put_pixel(3, 4, image::Rgb([f32::NAN, f32::INFINITY, -5.0]));
+    let options = ExrOptions { precision: translume_image::Precision::Float, ..ExrOptions::default() };
+    write_exr(&path(5), &Picture::new(bad), &options).unwrap();
+    let run = translume(here, &["field", "compress", "stack", "-o", "f.glb", "--json"]);
+    for expected in ["1 of the pictures are all black", "2 samples are NaN or infinite", "1 samples are far below zero"]
+    {
+        assert!(run.stderr.contains(expected), "{expected}: {}", run.stderr);
+    }
+    assert_eq!(json(&run.ok())["warnings"].as_array().unwrap().len(), 3);
+    std::fs::remove_file(here.join("f.glb")).unwrap();
+    (0..8).for_each(|i| write(&path(i), black()));
+    refused(here, &[], 1, "the pictures are black");
+}
+
+#[test]
+fn damaged_fields_and_wrong_options_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    stack(here, 6, "png");
+    let run = |arguments: &[&str]| translume(here, arguments);
+    run(&["field", "compress", "stack", "-o", "f.glb", "--terms", "4"]).ok();
+    let bytes = std::fs::read(here.join("f.glb")).unwrap();
+    for cut in [0, 11, 40, 900, bytes.len() - 1] {
+        std::fs::write(here.join("cut.glb"), &bytes[..cut]).unwrap();
+        let error = run(&["field", "info", "cut.glb"]).error(1);
+        assert!(error.starts_with("cut.glb: "), "{error}");
+        assert!(
+            run(&["field", "relight", "cut.glb", "--light", "0,0,1", "-o", "o.exr"]).error(1).starts_with("cut.glb: ")
+        );
+        assert!(!here.join("o.exr").exists());
+    }
+    assert!(run(&["field", "relight", "f.glb", "-o", "o.exr"]).error(2).contains("--light or --env"));
+    assert!(run(&["field", "relight", "f.glb", "--light", "0,0,0", "-o", "o.exr"]).error(2).contains("a direction"));
+    assert!(
+        run(&["field", "relight", "f.glb", "--light", "0,0,1", "-o", "o.jpg"])
+            .error(1)
+            .contains(".exr, .hdr, .pfm or .png")
+    );
+    assert!(
+        run(&["field", "relight", "f.glb", "--light", "0,0,1", "-o", "no/o.exr"]).error(1).contains("does not exist")
+    );
+    // Pictures of another size than the field's.
+    let other = tempfile::tempdir().unwrap();
+    let small = |i: usize| Rgb32FImage::from_pixel(8, 8, image::Rgb([0.1 * (i + 1) as f32; 3]));
+    for i in 0..3 {
+        write_exr(&other.path().join(format!("{i}.exr")), &Picture::new(small(i)), &ExrOptions::default()).unwrap();
+    }
+    std::fs::write(other.path().join("lights.csv"), "file,x,y,z\n0.exr,0,0,1\n1.exr,1,0,1\n2.exr,0,1,1\n").unwrap();
+    let folder = other.path().to_string_lossy();
+    assert!(
+        run(&["field", "compare", &folder, "f.glb"]).error(1).contains("the field is 48 × 32, the pictures are 8 × 8")
+    );
+}
+
+#[test]
+fn planes_go_out_to_relightlab_and_come_back() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 24, "png");
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    run(&["field", "compress", "stack", "-o", "f.glb"]).ok();
+    let out = json(&run(&["field", "export", "f.glb", "--relight", "web", "--json"]).ok());
+    assert_eq!(out["planes"], 27);
+    let info = json(&std::fs::read_to_string(dir.path().join("web/info.json")).unwrap());
+    assert_eq!((&info["type"], &info["nplanes"], &info["colorspace"]), (&"hsh".into(), &27.into(), &"rgb".into()));
+    run(&["field", "import", "web", "-o", "back.glb"]).ok();
+    let compared = json(&run(&["field", "compare", "stack", "back.glb", "--json"]).ok());
+    assert!(compared["psnr"].as_f64().unwrap() > 24.0, "{compared}");
+    assert!(run(&["field", "import", "stack", "-o", "no.glb"]).error(1).contains("info.json"));
+    assert!(!dir.path().join("no.glb").exists());
+}
+
+#[test]
+fn a_ball_gives_the_directions_of_the_lights() {
+    let dir = tempfile::tempdir().unwrap();
+    let lights = lights(5);
+    for (i, l) in lights.iter().enumerate() {
+        let ball = Rgb32FImage::from_fn(64, 64, |x, y| {
+            let (nx, ny) = ((x as f32 - 32.0) / 28.0, (32.0 - y as f32) / 28.0);
+            let nz = (1.0 - nx * nx - ny * ny).max(0.0).sqrt();
+            image::Rgb([if nz > 0.0 { 0.8 * (nx * l[0] + ny * l[1] + nz * l[2]).max(0.0) } else { 0.0 }; 3])
+        });
+        write_exr(&dir.path().join(format!("b{i}.exr")), &Picture::new(ball), &ExrOptions::default()).unwrap();
+    }
+    let run = |arguments: &[&str]| translume(dir.path(), arguments);
+    let found = ["field", "lights", ".", "--ball", "32,32,28", "--surface", "matt", "-o", "b.lp", "--json"];
+    let found = json(&run(&found).ok());
+    for (i, l) in lights.iter().enumerate() {
+        let got = &found["lights"][i];
+        let dot: f64 = (0..3).map(|c| got["direction"][c].as_f64().unwrap() * f64::from(l[c])).sum();
+        assert!(dot > 0.9999 && (got["strength"].as_f64().unwrap() - 0.8).abs() < 0.02, "{got}");
+    }
+    // The list is one that compress takes.
+    run(&["field", "compress", ".", "-o", "f.glb", "--terms", "3"]).ok();
+    let error = run(&["field", "lights", ".", "--ball", "500,32,28", "-o", "b.lp"]).error(1);
+    assert!(error.contains("b0.exr: the ball at (500, 32)"), "{error}");
+    assert!(run(&["field", "lights", ".", "--ball", "32,32", "-o", "b.lp"]).error(2).contains("x,y,r"));
+}
