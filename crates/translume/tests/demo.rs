@@ -21,6 +21,8 @@ fn the_page_is_whole_and_the_figures_are_good() {
     let db = |merge: &str| hdr["psnr_mu_db"][merge].as_f64().unwrap();
     assert!(db("default") > db("global") + 3.0 && db("global") > db("tripod") + 3.0, "{hdr}");
     assert!(db("default") > db("single") + 3.0, "{hdr}");
+    let field = &json["figures"]["field"]["psnr_db"];
+    assert!(field["layers"].as_f64().unwrap() > field["log_pca"].as_f64().unwrap() + 2.0, "{field}");
     assert!([0, 2].iter().all(|i| hdr["end_point_error_px"][*i].as_f64().unwrap() < 0.5), "{hdr}");
 }
 
