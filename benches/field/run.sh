@@ -12,7 +12,8 @@ stage=$(mktemp -d); trap 'rm -rf "$stage"' EXIT
 echo "Synthetic light stage: $lights lights, $size x $size, half-float EXR; $(nproc) cores, $(date +%F)"; echo
 "$bench" generate "$stage" "$size" "$lights"
 "$bench" table "$stage"; echo
-for stack in "$@"; do echo "$stack:"; echo; "$bench" table "$stack"; echo; done
+"$bench" held-out "$stage"; echo
+for stack in "$@"; do echo "$stack:"; echo; "$bench" table "$stack"; echo; "$bench" held-out "$stack"; echo; done
 echo "| decomposition, 16 terms | seconds | energy left |"; echo "|---|--:|--:|"
 "$bench" pca "$stage"
 "${PYTHON:-python3}" benches/field/peers.py "$stage" || echo "| peers skipped: no NumPy or OpenEXR | | |"; echo

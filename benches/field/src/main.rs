@@ -1,13 +1,11 @@
 //! `bench-field generate DIR SIZE LIGHTS` writes the synthetic light stage; `bench-field table DIR [NAME …]` compresses a
-//! stack by each method and prints errors, bytes and seconds; `bench-field speed DIR` measures relighting, `bench-field pca DIR` decomposition.
-
-mod scene;
+//! stack by each method and prints errors, bytes and seconds; `bench-field held-out DIR` leaves every fifth light out; `bench-field speed DIR` measures relighting, `bench-field pca DIR` decomposition.
 
 use anyhow::{Context as _, bail};
 use std::path::Path;
 use std::time::Instant;
 use translume_field::{Domain, Field, Model, Params, Rate, Relighter, Stack, compress, measure, texture::Codec};
-use translume_field::{matrix::Matrix, pca};
+use translume_field::{matrix::Matrix, pca, simulate};
 
 /// A row of the table: its name, and how it is made.
 fn rows() -> Vec<(&'static str, Params)> {
@@ -32,6 +30,9 @@ fn rows() -> Vec<(&'static str, Params)> {
         ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
         ("layers, PU21", Params { domain: Some(Domain::Pu21), ..layers(16) }),
         ("layers, half the bytes", layers(8)),
+        ("layers, BC4 only", Params { codec: Some(Codec::Bc4), ..layers(16) }),
+        ("layers, BC1 only", Params { codec: Some(Codec::Bc1), ..layers(16) }),
+        ("layers, BC7, half the layers", Params { codec: Some(Codec::Bc7), ..layers(8) }),
         ("layers, R8, half the layers", Params { codec: Some(Codec::R8), ..layers(8) }),
         ("PTM, BC7", fixed(Model::Ptm, Codec::Bc7)),
         ("PTM, RGB8", fixed(Model::Ptm, Codec::Rgb8)),
@@ -44,11 +45,15 @@ fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["generate", dir, size, lights] => scene::write(Path::new(dir), size.parse()?, lights.parse()?),
+        ["generate", dir, size, lights] => {
+            let size = size.parse()?;
+            Ok(simulate::write(Path::new(dir), (size, size), &simulate::lights(lights.parse()?))?)
+        }
         ["table", dir, ref names @ ..] => table(Path::new(dir), names),
         ["speed", dir] => speed(Path::new(dir)),
+        ["held-out", dir] => held_out(Path::new(dir)),
         ["pca", dir] => decompose(Path::new(dir)),
-        _ => bail!("bench-field generate DIR SIZE LIGHTS | table DIR [NAME …] | speed DIR | pca DIR"),
+        _ => bail!("bench-field generate DIR SIZE LIGHTS | table DIR [NAME …] | held-out DIR | speed DIR | pca DIR"),
     }
 }
 
@@ -87,7 +92,7 @@ fn table(dir: &Path, names: &[&str]) -> anyhow::Result<()> {
 fn speed(dir: &Path) -> anyhow::Result<()> {
     let (field, ..) = make(dir, &Params { rate: Rate::Terms(16), ..Params::default() })?;
     let relighter = Relighter::new(&field)?;
-    let mixes: Vec<_> = scene::lights(32).into_iter().filter(|l| l[2] > 0.0).map(|l| relighter.mix(l)).collect();
+    let mixes: Vec<_> = simulate::lights(32).into_iter().filter(|l| l[2] > 0.0).map(|l| relighter.mix(l)).collect();
     let mut out = vec![0u8; 3 * field.width * field.height];
     let first = mixes.first().context("no lights")?;
     relighter.display(first, 1.0, &mut out);
@@ -127,6 +132,39 @@ fn decompose(dir: &Path) -> anyhow::Result<()> {
             start.elapsed().as_secs_f64(),
             left(&found)
         );
+    }
+    Ok(())
+}
+
+/// Every fifth light is kept out, and predicted from the others.
+fn held_out(dir: &Path) -> anyhow::Result<()> {
+    let whole = Stack::open(dir, None)?;
+    let part = |out: bool| {
+        let shots = whole.shots.iter().enumerate().filter(|(i, _)| (i % 5 == 2) == out);
+        shots.map(|(_, s)| s.clone()).collect::<Vec<_>>()
+    };
+    println!("| method | PSNR of {} lights kept out, dB |\n|---|--:|", part(true).len());
+    let fixed = |model| Params { model, codec: Some(Codec::Rgb8), ..Params::default() };
+    for (name, params) in [
+        ("layers (default)", Params::default()),
+        ("layers, the thesis' Gaussian", Params { gaussian: Some(true), ..Params::default() }),
+        ("layers, δ 0.001", Params { domain: Some(Domain::Log { delta: 1e-3 }), ..Params::default() }),
+        ("layers, δ 0.1", Params { domain: Some(Domain::Log { delta: 0.1 }), ..Params::default() }),
+        ("thesis: log PCA, BC1, Gaussian", Params { model: Model::LogPca, ..Params::default() }),
+        ("PTM, RGB8", fixed(Model::Ptm)),
+        ("HSH, RGB8", fixed(Model::Hsh)),
+    ] {
+        let mut stack = Stack::of(dir, part(false))?;
+        stack.white = whole.white;
+        match compress(&mut stack, &params, &|_| ()) {
+            Ok(field) => {
+                let mut rest = stack.clone();
+                rest.shots = part(true);
+                let errors = measure::compare(&field, &mut rest, &|| ())?;
+                println!("| {name} | {:.2} |", errors.iter().map(|e| e.psnr).sum::<f64>() / errors.len() as f64);
+            }
+            Err(e) => println!("| {name} | {e} |"),
+        }
     }
     Ok(())
 }

@@ -15,7 +15,7 @@ use nalgebra::DMatrix;
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
 /// Texels that are enough to find principal directions from.
-const ENOUGH: usize = 1 << 18;
+const ENOUGH: usize = 1 << 17;
 
 /// How to compress.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,13 +77,14 @@ impl Params {
         })
     }
 
-    /// The storage that will be used.
-    pub fn codec(&self) -> Codec {
-        self.codec.unwrap_or(match self.model {
-            Model::Layers => Codec::Bc4,
-            Model::LogPca | Model::LinearPca => Codec::Bc1,
-            Model::Ptm | Model::Hsh | Model::Imported => Codec::Rgb8,
-        })
+    /// The storage that will be used; of several, that which serves a layer best.
+    pub fn codecs(&self) -> Vec<Codec> {
+        match (self.codec, self.model) {
+            (Some(codec), _) => vec![codec],
+            (None, Model::Layers) => vec![Codec::Bc4, Codec::Bc1],
+            (None, Model::LogPca | Model::LinearPca) => vec![Codec::Bc1],
+            (None, Model::Ptm | Model::Hsh | Model::Imported) => vec![Codec::Rgb8],
+        }
     }
 
     /// Most terms that a stack of `lights` pictures gives.
@@ -104,7 +105,7 @@ impl Params {
             Rate::Terms(k) => Ok(Some(k)),
             Rate::Bytes(bytes) => {
                 // Texture, weights, and what the description says of a layer; generously, so that the file is never larger.
-                let term = self.codec().bytes(stack.width, stack.height) + 6 * lights + 400;
+                let term = self.codecs()[0].bytes(stack.width, stack.height) + 18 * lights + 800;
                 let k = bytes.saturating_sub(3000 + 24 * lights) / term;
                 if k == 0 {
                     return Err(Error::Parameter(format!(
@@ -126,14 +127,8 @@ impl Params {
 pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + Sync)) -> Result<Field> {
     let domain = params.domain().check()?;
     let terms = params.terms(stack)?;
-    let channels = if params.model == Model::Layers { 1 } else { 3 };
-    if params.codec().channels() != channels {
-        let what = format!(
-            "{:?} has {} channels, the layers of this model {channels}",
-            params.codec(),
-            params.codec().channels()
-        );
-        return Err(Error::Parameter(what));
+    if params.model != Model::Layers && params.codecs().iter().any(|c| c.channels() != 3) {
+        return Err(Error::Parameter("this model needs layers of three channels: bc1, bc7 or rgb8".into()));
     }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
     let basis = match params.model {
@@ -250,13 +245,19 @@ impl Job<'_> {
         (self.progress)("decomposing");
         let step = self.step();
         let means = self.matrix.means(step);
-        let (directions, _) = pca::randomised(&self.matrix, &means, terms + 8, 1, step);
+        let codecs = self.params.codecs();
+        let planes = terms * codecs.iter().map(|c| c.channels()).max().unwrap_or(1) + 8;
+        let (directions, _) = pca::randomised(&self.matrix, &means, planes, 1, step);
         let offset: Vec<f32> =
             directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
         let planes = self.project(&directions, &offset)?;
+        if !matches!(self.params.rate, Rate::Psnr(_)) {
+            self.matrix.release();
+        }
         (self.progress)("encoding");
         let size = (self.stack.width, self.stack.height);
-        let found = layers::encode(planes, size, self.params.codec(), terms, self.params.closed_loop)?;
+        let codecs = layers::best_codecs(&planes, size, &codecs, terms, self.params.closed_loop)?;
+        let found = layers::encode(planes, size, &codecs, terms, self.params.closed_loop)?;
         // Back from principal coordinates to lights and channels: (1 + layers) × (3 lights).
         let mut columns = found.weights.map(|w| w as f32) * directions.transpose();
         means.iter().enumerate().for_each(|(i, m)| columns[(0, i)] += m);
@@ -269,7 +270,7 @@ impl Job<'_> {
             (0..k).map(|i| f64::from(table[(l, 3 * i + j % 3)]) * root[(i, j / 3)]).sum()
         });
         let kernel = self.kernel(false, &factors);
-        let angular = Angular::Lights { lights: self.lights.clone(), table, kernel };
+        let angular = Angular::Lights { colour: true, lights: self.lights.clone(), table, kernel };
         Ok(self.field(found.textures, angular))
     }
 
@@ -305,7 +306,7 @@ impl Job<'_> {
         (self.progress)("interpolating");
         let factors = vectors * products.map(f64::sqrt);
         let kernel = self.kernel(true, &factors);
-        let angular = Angular::Lights { lights: self.lights.clone(), table, kernel };
+        let angular = Angular::Lights { colour: false, lights: self.lights.clone(), table, kernel };
         Ok(self.field(layers, angular))
     }
 
@@ -328,7 +329,7 @@ impl Job<'_> {
     fn textures(&self, planes: &[f32]) -> Result<Vec<Texture>> {
         let pixels = self.stack.pixels();
         let rgb = planes.chunks(3 * pixels);
-        rgb.map(|p| Texture::encode(self.params.codec(), &p.chunks(pixels).collect::<Vec<_>>(), self.stack.width))
+        rgb.map(|p| Texture::encode(self.params.codecs()[0], &p.chunks(pixels).collect::<Vec<_>>(), self.stack.width))
             .collect()
     }
 }

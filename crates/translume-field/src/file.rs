@@ -5,7 +5,7 @@ use crate::basis::Basis;
 use crate::field::{Angular, Field, Model, Relighter};
 use crate::ktx2;
 use crate::sphere::Kernel;
-use crate::texture::Texture;
+use crate::texture::{Codec, Texture};
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,8 @@ enum Weights {
     /// Unit directions (float32 x, y, z) and weights by light, then column, as integers of `bits` bits in a range for each
     /// column.
     Lights {
+        /// Whether columns are colours of planes, and not weights of layers.
+        colour: bool,
         kernel: Kernel,
         count: usize,
         #[serde(rename = "directionsView")]
@@ -108,21 +110,25 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
         views.len() - 1
     };
     let mut layers: Vec<LayerEntry> = Vec::new();
-    // Layers of one codec in a row are one array.
-    for run in field.layers.chunk_by(|a, b| a.codec == b.codec) {
-        let data: Vec<&[u8]> = run.iter().map(|l| &l.data[..]).collect();
-        let view = add(&ktx2::write(run[0].codec, (field.width, field.height), &data));
-        let entry = |(i, l): (usize, &Texture)| {
-            let n = l.codec.channels();
-            LayerEntry { image: images.len(), layer: i, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() }
-        };
-        layers.extend(run.iter().enumerate().map(entry));
-        images
-            .push(json!({ "mimeType": "image/ktx2", "bufferView": view, "name": format!("layers {}", images.len()) }));
+    // Layers of one codec are one array.
+    let mut arrays: Vec<(Codec, Vec<&[u8]>)> = Vec::new();
+    for l in &field.layers {
+        let image = arrays.iter().position(|a| a.0 == l.codec).unwrap_or(arrays.len());
+        if image == arrays.len() {
+            arrays.push((l.codec, Vec::new()));
+        }
+        let n = l.codec.channels();
+        let layer = arrays[image].1.len();
+        layers.push(LayerEntry { image, layer, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() });
+        arrays[image].1.push(&l.data);
+    }
+    for (codec, data) in &arrays {
+        let view = add(&ktx2::write(*codec, (field.width, field.height), data));
+        images.push(json!({ "mimeType": "image/ktx2", "bufferView": view, "name": format!("{codec:?}") }));
     }
     let weights = match &field.angular {
         Angular::Basis(basis) => Weights::Basis { basis: *basis },
-        Angular::Lights { lights, table, kernel } => {
+        Angular::Lights { colour, lights, table, kernel } => {
             let bits = weight_bits(field.model);
             let (codes, low, high) = codes(table, bits);
             let packed: Vec<u8> = match bits {
@@ -131,7 +137,16 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
             };
             let directions: Vec<u8> = lights.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
             let (directions_view, weights_view) = (add(&directions), add(&packed));
-            Weights::Lights { kernel: *kernel, count: lights.len(), directions_view, weights_view, bits, low, high }
+            Weights::Lights {
+                colour: *colour,
+                kernel: *kernel,
+                count: lights.len(),
+                directions_view,
+                weights_view,
+                bits,
+                low,
+                high,
+            }
         }
     };
     let manifest = Manifest {
@@ -256,7 +271,7 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
     }
     let angular = match manifest.weights {
         Weights::Basis { basis } => Angular::Basis(basis),
-        Weights::Lights { kernel, count, directions_view, weights_view, bits, low, high } => {
+        Weights::Lights { colour, kernel, count, directions_view, weights_view, bits, low, high } => {
             let directions = floats(view(directions_view)?);
             let lights: Vec<[f32; 3]> = directions.as_chunks::<3>().0.to_vec();
             if lights.len() != count || lights.iter().any(|l| (l.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() > 1e-2)
@@ -274,7 +289,7 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
                 return Err("the weights do not fit the lights (truncated?)".into());
             }
             check(kernel)?;
-            Angular::Lights { table: values(&codes, count, (&low, &high), bits), lights, kernel }
+            Angular::Lights { colour, table: values(&codes, count, (&low, &high), bits), lights, kernel }
         }
     };
     if !(manifest.white > 0.0 && manifest.white.is_finite()) {
@@ -299,7 +314,6 @@ fn floats(bytes: &[u8]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::texture::Codec;
 
     fn fields() -> Vec<Field> {
         let plane: Vec<f32> = (0..35).map(|i| (i as f32 * 0.3).sin()).collect();
@@ -312,6 +326,7 @@ mod tests {
             white: 3.5,
             layers,
             angular: Angular::Lights {
+                colour: model == Model::Layers,
                 lights: lights.clone(),
                 table: DMatrix::from_fn(3, columns, |i, j| (i * j) as f32 * 0.37 - 1.0),
                 kernel,
@@ -323,7 +338,7 @@ mod tests {
         let mut ptm = field(Model::Ptm, vec![rgb.clone(); 6], 6, surface);
         ptm.angular = Angular::Basis(Basis::Ptm);
         vec![
-            field(Model::Layers, vec![one.clone(), one], 9, surface),
+            field(Model::Layers, vec![one.clone(), rgb.clone(), one], 18, surface),
             field(Model::LogPca, vec![rgb.clone(), rgb], 2, Kernel::Gaussian { width: 0.5 }),
             ptm,
         ]
@@ -386,7 +401,7 @@ mod tests {
         let bytes = to_bytes(&fields()[0], "");
         let text = String::from_utf8_lossy(&bytes[20..]).into_owned();
         let at = 20 + text.find("\"version\":\"1.0\"").unwrap() + 11;
-        let mut newer = bytes.clone();
+        let mut newer = bytes;
         newer[at] = b'2';
         let error = from_bytes(&newer, Path::new("f.glb")).unwrap_err().to_string();
         assert!(error.starts_with("f.glb: a field of format version 2.0"), "{error}");

@@ -1,10 +1,12 @@
-//! Layers: textures of one channel, each with a weight by light and channel, found one after the other.
+//! Layers: planes with a weight by light and channel, stored one or three to a texture, found one after the other.
 //!
-//! The rows that are taken apart are texels, the columns lights × channels: colour is in the weights, so that a layer
-//! needs one channel (BC4: two ends of 8 bits and eight steps) where the thesis' eigenimages need three (BC1: ends of 5
-//! and 6 bits, four steps, one line through colour space). The loop is closed: a layer is encoded, decoded, and what it
-//! does not give is left for the next, whose direction is the principal one of what is left. So the first layers, whose
-//! errors weigh most, get a second layer of finer steps where that pays more than a new direction. At the end all
+//! The rows that are taken apart are texels, the columns lights × channels: colour is in the weights, so that a plane is
+//! one number a texel where the thesis' eigenimages are three. Four bits a texel hold one plane in BC4 (two ends of 8 bits,
+//! eight steps a block) or three in BC1 (four steps on one line). [`best_codecs`] finds out on a part of the picture whether
+//! the one, the other, or for each texture that which takes off more leaves least in the end.
+//!
+//! The loop is closed: a texture is encoded, decoded, and what it does not give is left for the next, whose directions are
+//! the principal ones of what is left: planes whose errors weigh are stored a second time for finer steps. At the end all
 //! weights are fitted to what the textures decode to.
 
 use crate::Result;
@@ -17,71 +19,103 @@ use rayon::prelude::*;
 /// Texels that one task takes.
 const CHUNK: usize = 1 << 13;
 
-/// Encoded layers and their weights.
+/// Encoded planes and their weights.
 pub(crate) struct Layers {
-    /// Textures of one channel.
+    /// Textures.
     pub(crate) textures: Vec<Texture>,
-    /// (1 + layers) × inputs: weights of the constant 1, then of each layer.
+    /// (1 + planes) × inputs: weights of the constant 1, then of each plane.
     pub(crate) weights: DMatrix<f64>,
-    /// Mean products of the constant and the layers over all pixels.
+    /// Mean products of the constant and the planes over all pixels.
     pub(crate) products: DMatrix<f64>,
 }
 
-/// Encodes `planes` (several, each of as many values as the picture has pixels; they are used up) as `count` layers. In an
-/// open loop, for comparison, the next layer does not see what encoding lost.
+/// A texture that could come next.
+struct Candidate {
+    texture: Texture,
+    /// Its planes before encoding and after decoding.
+    exact: Vec<Vec<f32>>,
+    decoded: Vec<Vec<f32>>,
+    /// Products of the decoded planes with what is left: planes × inputs.
+    cross: DMatrix<f64>,
+    /// Least-squares weights of the decoded planes: planes × inputs.
+    weights: DMatrix<f64>,
+    /// Energy it takes off what is left, a byte.
+    gain: f64,
+}
+
+impl Candidate {
+    fn new(codec: Codec, left: &[f32], size: (usize, usize), directions: &DMatrix<f64>) -> Result<Self> {
+        let pixels = size.0 * size.1;
+        let direction = |j: usize| directions.column(j).iter().map(|v| *v as f32).collect::<Vec<f32>>();
+        let exact: Vec<Vec<f32>> = (0..codec.channels()).map(|j| combine(left, pixels, &direction(j))).collect();
+        let texture = Texture::encode(codec, &exact.iter().map(|p| &p[..]).collect::<Vec<_>>(), size.0)?;
+        let decoded = texture.values(size.0, size.1)?;
+        let n = decoded.len();
+        let inputs = left.len() / pixels;
+        let cross = DMatrix::from_fn(n, inputs, |j, i| dot(&left[i * pixels..(i + 1) * pixels], &decoded[j]));
+        let products = DMatrix::from_fn(n, n, |i, j| dot(&decoded[i], &decoded[j]));
+        let weights = least_squares(&products, &cross);
+        let gain = weights.dot(&cross) / codec.bytes(4, 4) as f64;
+        Ok(Self { texture, exact, decoded, cross, weights, gain })
+    }
+}
+
+/// Encodes `planes` (several, each of as many values as the picture has pixels; they are used up) as `count` textures, each
+/// in that of `codecs` that takes off most. In an open loop, for comparison, the next texture does not see what encoding
+/// lost.
 pub(crate) fn encode(
     mut left: Vec<f32>,
-    (width, height): (usize, usize),
-    codec: Codec,
+    size: (usize, usize),
+    codecs: &[Codec],
     count: usize,
     closed_loop: bool,
 ) -> Result<Layers> {
-    let pixels = width * height;
+    let pixels = size.0 * size.1;
     let inputs = left.len() / pixels;
     let original = Gram::of(&left, pixels);
     let (mut textures, mut decoded) = (Vec::new(), Vec::<Vec<f32>>::new());
-    let mut cross = DMatrix::zeros(1 + count, inputs);
-    (0..inputs).for_each(|i| cross[(0, i)] = original.sums[i]);
-    // Products of a layer with the original planes: with what is left, plus what earlier layers took away.
+    // What was taken off: planes and their weights. In a closed loop the planes are the decoded ones.
     let (mut taken, mut opened) = (Vec::<Vec<f64>>::new(), Vec::<Vec<f32>>::new());
+    // Products with the planes as they were at first: with what is left, plus what was taken off.
+    let mut cross: Vec<Vec<f64>> = vec![original.sums.clone()];
     for _ in 0..count {
-        let gram = Gram::of(&left, pixels);
-        let (vectors, values) = eigen(&gram.products);
-        if values[0] <= 1e-12 * original.products.trace().max(f64::MIN_POSITIVE) {
+        let (directions, energies) = eigen(&Gram::of(&left, pixels).products);
+        if energies[0] <= 1e-12 * original.products.trace().max(f64::MIN_POSITIVE) {
             break;
         }
-        let direction: Vec<f32> = vectors.column(0).iter().map(|v| *v as f32).collect();
-        let plane = combine(&left, pixels, &direction);
-        let texture = Texture::encode(codec, &[&plane], width)?;
-        let values = texture.values(width, height)?.swap_remove(0);
-        let energy = dot(&values, &values).max(f64::MIN_POSITIVE);
-        let with_left: Vec<f64> = left.chunks(pixels).map(|l| dot(l, &values)).collect();
-        let weights: Vec<f64> = with_left.iter().map(|w| w / energy).collect();
-        let j = decoded.len();
+        let mut best: Option<Candidate> = None;
+        for codec in codecs.iter().filter(|c| c.channels() <= inputs) {
+            let candidate = Candidate::new(*codec, &left, size, &directions)?;
+            best = best.filter(|b| b.gain >= candidate.gain).or(Some(candidate));
+        }
+        let Some(next) = best else { break };
         let earlier = if closed_loop { &decoded } else { &opened };
-        let with_layers: Vec<f64> = earlier.iter().map(|d| dot(d, &values)).collect();
-        for i in 0..inputs {
-            let before: f64 = with_layers.iter().zip(&taken).map(|(d, w)| w[i] * d).sum();
-            cross[(1 + j, i)] = with_left[i] + before;
+        for (j, plane) in next.decoded.iter().enumerate() {
+            let with_earlier: Vec<f64> = earlier.iter().map(|e| dot(e, plane)).collect();
+            let before = |i: usize| with_earlier.iter().zip(&taken).map(|(d, w)| d * w[i]).sum::<f64>();
+            cross.push((0..inputs).map(|i| next.cross[(j, i)] + before(i)).collect());
         }
-        if closed_loop {
-            subtract(&mut left, pixels, &values, &weights);
+        for j in 0..next.decoded.len() {
+            let (plane, weights) = if closed_loop {
+                (&next.decoded[j], next.weights.row(j).iter().copied().collect::<Vec<f64>>())
+            } else {
+                (&next.exact[j], directions.column(j).iter().copied().collect())
+            };
+            subtract(&mut left, pixels, plane, &weights);
             taken.push(weights);
-        } else {
-            let exact: Vec<f64> = direction.iter().map(|v| f64::from(*v)).collect();
-            subtract(&mut left, pixels, &plane, &exact);
-            opened.push(plane);
-            taken.push(exact);
         }
-        decoded.push(values);
-        textures.push(texture);
+        if !closed_loop {
+            opened.extend(next.exact);
+        }
+        decoded.extend(next.decoded);
+        textures.push(next.texture);
     }
-    let n = 1 + textures.len();
+    let n = 1 + decoded.len();
     let ones = vec![1.0; pixels];
     let all: Vec<&[f32]> = std::iter::once(&ones[..]).chain(decoded.iter().map(|d| &d[..])).collect();
-    let products = DMatrix::from_fn(n, n, |i, j| if i <= j { dot(all[i], all[j]) / pixels as f64 } else { 0.0 });
-    let products = DMatrix::from_fn(n, n, |i, j| products[(i.min(j), i.max(j))]);
-    let cross = cross.rows(0, n) / pixels as f64;
+    let upper = DMatrix::from_fn(n, n, |i, j| if i <= j { dot(all[i], all[j]) / pixels as f64 } else { 0.0 });
+    let products = DMatrix::from_fn(n, n, |i, j| upper[(i.min(j), i.max(j))]);
+    let cross = DMatrix::from_fn(n, inputs, |i, j| cross[i][j] / pixels as f64);
     Ok(Layers { textures, weights: least_squares(&products, &cross), products })
 }
 
@@ -97,6 +131,37 @@ fn least_squares(products: &DMatrix<f64>, cross: &DMatrix<f64>) -> DMatrix<f64> 
             .solve(cross, 1e-12)
             .unwrap_or_else(|_| DMatrix::zeros(cross.nrows(), cross.ncols())),
     }
+}
+
+/// Texels that are enough to choose a codec on.
+const ENOUGH: usize = 1 << 15;
+
+/// Which of `codecs` to encode with: each alone, or all of them, whatever leaves least of an even choice of rows of blocks.
+pub(crate) fn best_codecs(
+    planes: &[f32],
+    (width, height): (usize, usize),
+    codecs: &[Codec],
+    count: usize,
+    closed_loop: bool,
+) -> Result<Vec<Codec>> {
+    if codecs.len() < 2 {
+        return Ok(codecs.to_vec());
+    }
+    let every = (width * height).div_ceil(ENOUGH);
+    let strips: Vec<usize> = (0..height.div_ceil(4)).step_by(every).collect();
+    let strip = |p: &[f32], i: usize| p[4 * i * width..(4 * i + 4).min(height) * width].to_vec();
+    let part: Vec<f32> =
+        planes.chunks(width * height).flat_map(|p| strips.iter().flat_map(move |i| strip(p, *i))).collect();
+    let rows: usize = strips.iter().map(|i| (4 * i + 4).min(height) - 4 * i).sum();
+    let mut found = (f64::NEG_INFINITY, codecs.to_vec());
+    for choice in codecs.iter().map(|c| vec![*c]).chain([codecs.to_vec()]) {
+        let layers = encode(part.clone(), (width, rows), &choice, count, closed_loop)?;
+        let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
+        if kept > found.0 {
+            found = (kept, choice);
+        }
+    }
+    Ok(found.1)
 }
 
 /// Products of planes with each other, and their sums.
@@ -130,12 +195,15 @@ fn sum(values: &[f32]) -> f64 {
     values.iter().map(|v| f64::from(*v)).sum()
 }
 
-/// Product of two planes, summed in f64 over chunks in order.
+/// Product of two planes: in eight lanes of f32 over 256 values, in f64 over those and over chunks in order.
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    let part = |(a, b): (&[f32], &[f32])| -> f64 {
-        let lanes = a.chunks(256).zip(b.chunks(256));
-        lanes.map(|(a, b)| f64::from(a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>())).sum()
+    let short = |a: &[f32], b: &[f32]| {
+        let mut lanes = [0.0f32; 8];
+        let (a8, b8) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+        a8.0.iter().zip(b8.0).for_each(|(a, b)| (0..8).for_each(|i| lanes[i] += a[i] * b[i]));
+        f64::from(lanes.iter().sum::<f32>() + a8.1.iter().zip(b8.1).map(|(a, b)| a * b).sum::<f32>())
     };
+    let part = |(a, b): (&[f32], &[f32])| -> f64 { a.chunks(256).zip(b.chunks(256)).map(|(a, b)| short(a, b)).sum() };
     let parts: Vec<f64> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(part).collect();
     parts.iter().sum()
 }
@@ -175,7 +243,7 @@ mod tests {
             .flat_map(|w| a.iter().zip(&b).map(move |(a, b)| 3.0 + w * a + (1.0 - w) * b))
             .collect();
         let left = |count: usize| {
-            let layers = encode(planes.clone(), size, Codec::Bc4, count, true).unwrap();
+            let layers = encode(planes.clone(), size, &[Codec::Bc4], count, true).unwrap();
             let values: Vec<Vec<f32>> =
                 layers.textures.iter().map(|t| t.values(size.0, size.1).unwrap().swap_remove(0)).collect();
             let mut sum = 0.0;
@@ -192,5 +260,36 @@ mod tests {
         // Two layers leave the steps of BC4 (an RMS of some 1 % of the range); further ones go below.
         assert!(errors[1] < 0.3 * errors[0] && errors[4] < 0.2 * errors[1], "{errors:?}");
         assert!(errors.windows(2).all(|e| e[1] < 1.02 * e[0]), "{errors:?}");
+    }
+
+    #[test]
+    fn weak_planes_share_a_texture() {
+        let size = (64, 64);
+        let pixels = size.0 * size.1;
+        // A strong plane and eight weak ones, all different.
+        let wave = |k: usize, i: usize| (0.05 * ((k + 2) * (i % 64) + (3 * k + 1) * (i / 64)) as f32 + k as f32).sin();
+        let texels: Vec<f32> =
+            (0..9).flat_map(|k| (0..pixels).map(move |i| if k == 0 { 10.0 } else { 1.0 } * wave(k, i))).collect();
+        let left = |codecs: &[Codec]| {
+            let layers = encode(texels.clone(), size, codecs, 4, true).unwrap();
+            let n = layers.products.nrows();
+            let total: f64 = texels.iter().map(|v| f64::from(v * v)).sum::<f64>() / pixels as f64;
+            let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
+            (total - kept, n - 1, layers.textures.iter().map(|t| t.codec).collect::<Vec<_>>())
+        };
+        let (single, singles, _) = left(&[Codec::Bc4]);
+        let (mixed, planes, codecs) = left(&[Codec::Bc4, Codec::Bc1]);
+        assert_eq!(singles, 4);
+        assert_eq!(best_codecs(&texels, size, &[Codec::Bc4, Codec::Bc1], 4, true).unwrap().last(), Some(&Codec::Bc1));
+        assert!(planes > 4 && mixed < 0.8 * single, "{mixed} against {single}: {codecs:?}");
+    }
+
+    #[test]
+    fn few_strong_planes_are_stored_finely() {
+        let size = (64, 64);
+        let wave = |k: usize, i: usize| (0.05 * ((k + 2) * (i % 64) + (3 * k + 1) * (i / 64)) as f32 + k as f32).sin();
+        let planes: Vec<f32> = (0..3).flat_map(|k| (0..64 * 64).map(move |i| wave(k, i))).collect();
+        let codecs = best_codecs(&planes, size, &[Codec::Bc4, Codec::Bc1], 8, true).unwrap();
+        assert_eq!(codecs, [Codec::Bc4]);
     }
 }

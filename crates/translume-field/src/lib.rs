@@ -22,6 +22,7 @@ pub mod measure;
 pub mod pca;
 pub mod probe;
 pub mod relightlab;
+pub mod simulate;
 pub mod sphere;
 mod stack;
 pub mod texture;

@@ -85,10 +85,12 @@ impl Matrix {
                 for range in held(pixels, stride) {
                     for c in 0..3 {
                         let n = range.len();
-                        for (b, p) in buffer.iter_mut().zip(&rgb.as_chunks::<3>().0[range.clone()]) {
-                            *b = domain.value(p[c]).min(65504.0);
-                        }
-                        slot[c * texels + at..][..n].convert_from_f32_slice(&buffer[..n]);
+                        let buffer = &mut buffer[..n];
+                        let pixels = &rgb.as_chunks::<3>().0[range.clone()];
+                        buffer.iter_mut().zip(pixels).for_each(|(b, p)| *b = p[c]);
+                        domain.values(buffer);
+                        buffer.iter_mut().for_each(|b| *b = b.min(65504.0));
+                        slot[c * texels + at..][..n].convert_from_f32_slice(buffer);
                     }
                     at += range.len();
                 }
@@ -110,6 +112,11 @@ impl Matrix {
     /// Whether every texel is held.
     pub fn is_whole(&self) -> bool {
         self.stride == 1
+    }
+
+    /// Gives the memory back; the matrix is empty after.
+    pub(crate) fn release(&mut self) {
+        (self.planes, self.texels) = (Vec::new(), 0);
     }
 
     /// Number of pieces.
@@ -218,7 +225,8 @@ impl Matrix {
         }
         // Pictures in order, each spread over the threads by pieces: the sums are the same for any number of threads.
         for i in 0..self.lights {
-            let rgb: Vec<f32> = stack.read(i)?.into_par_iter().with_min_len(1 << 14).map(|v| domain.value(v)).collect();
+            let mut rgb = stack.read(i)?;
+            rgb.par_chunks_mut(1 << 14).for_each(|v| domain.values(v));
             let weights = projection.rows(3 * i, 3).into_owned();
             let shares = pieces_of(&mut planes, self.pixels, outputs);
             shares.into_par_iter().zip(rgb.par_chunks(3 * PIECE)).for_each(|(mut share, rgb)| {

@@ -3,6 +3,7 @@
 //! A system adds its chapter as a module with `fn chapter(dir: &Path, ctx: &Context) -> anyhow::Result<Part>` that
 //! writes its files into a folder of its own under `dir`, and a line in [`CHAPTERS`].
 
+mod field;
 mod hdr;
 mod render;
 
@@ -39,7 +40,7 @@ struct Part {
 type Entry = (&'static str, fn(&Path, &Context) -> anyhow::Result<Part>);
 
 /// The chapters in the order of the page.
-const CHAPTERS: &[Entry] = &[("hdr", hdr::chapter), ("render", render::chapter)];
+const CHAPTERS: &[Entry] = &[("hdr", hdr::chapter), ("render", render::chapter), ("field", field::chapter)];
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let page_file = args.dir.join("index.html");

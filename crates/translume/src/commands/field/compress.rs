@@ -60,7 +60,7 @@ pub(crate) struct Args {
     /// Offset δ of the logarithm as a share of white [default: 0.01; log-pca: 0.001]
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     delta: Option<f32>,
-    /// Storage of the layers [default: bc4; PCA: bc1; PTM and HSH: rgb8]
+    /// Storage of the layers [default: bc4 or bc1, what serves best; PCA: bc1; PTM and HSH: rgb8]
     #[arg(long, value_enum)]
     codec: Option<CodecName>,
     /// What is between the lights [default: cross-validated; PCA: gaussian]
@@ -73,7 +73,7 @@ pub(crate) struct Args {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ModelName {
-    /// Layers of one channel in a closed loop, weights in colour
+    /// Planes with weights in colour, found and stored in a closed loop
     Layers,
     /// Principal components of log light, as the thesis has them
     LogPca,
@@ -87,7 +87,7 @@ enum ModelName {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum CodecName {
-    /// One channel, 8 bits a texel
+    /// One plane, 8 bits a texel
     R8,
     /// Three channels, 24 bits a texel
     Rgb8,

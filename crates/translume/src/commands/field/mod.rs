@@ -100,6 +100,7 @@ fn describe(field: &Field, bytes: u64) -> Value {
         "width": field.width,
         "height": field.height,
         "terms": field.layers.len(),
+        "planes": field.planes(),
         "codecs": field.layers.iter().map(|l| l.codec).collect::<Vec<_>>(),
         "scale": field.domain,
         "white": field.white,

@@ -1,7 +1,8 @@
-//! A light stage without a renderer: two balls on a relief under 253 lights, HDR, with cast shadows and sharp
-//! highlights. The left ball is a mirror-like metal, the right one velvet; the ground is matt with glossy stripes.
+//! A light stage without a renderer, for tests, benchmarks and the demo: two balls on a relief, HDR, with cast shadows and
+//! sharp highlights. The left ball is a mirror-like metal, the right one velvet; the ground is matt with glossy stripes.
 
-use anyhow::Context as _;
+use crate::lights::{Shot, normalised, to_lp};
+use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
 use translume_image::{ExrOptions, Picture, Rgb32FImage, write_exr};
@@ -13,8 +14,7 @@ fn dot(a: V, b: V) -> f32 {
 }
 
 fn unit(a: V) -> V {
-    let l = dot(a, a).sqrt();
-    a.map(|v| v / l)
+    normalised(a).unwrap_or([0.0, 0.0, 1.0])
 }
 
 /// `n` directions spread over the sphere down to 25° below the horizon, as a light stage has them.
@@ -79,25 +79,28 @@ fn shade(hit: &Hit, l: V) -> V {
     }
 }
 
-/// Writes `count` pictures of `size × size` as half-float EXR, and their .lp file.
-pub fn write(dir: &Path, size: u32, count: usize) -> anyhow::Result<()> {
-    std::fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
-    let lights = lights(count);
-    let at = |v: u32| (v as f32 + 0.5) / size as f32 * 2.0 - 1.0;
-    let hits: Vec<Hit> = (0..size * size).map(|i| see(at(i % size), -at(i / size))).collect();
-    lights.par_iter().enumerate().try_for_each(|(i, l)| {
-        let pixels = Rgb32FImage::from_fn(size, size, |x, y| {
-            let v = shade(&hits[(y * size + x) as usize], *l);
-            pixel(v)
-        });
-        write_exr(&dir.join(format!("l{i:03}.exr")), &Picture::new(pixels), &ExrOptions::default())
-    })?;
-    let lines: String =
-        lights.iter().enumerate().map(|(i, l)| format!("l{i:03}.exr {} {} {}\n", l[0], l[1], l[2])).collect();
-    std::fs::write(dir.join("lights.lp"), format!("{count}\n{lines}"))?;
-    Ok(())
+/// The scene of `width × height` pixels, two units across, under one light.
+pub fn picture((width, height): (u32, u32), light: V) -> Rgb32FImage {
+    let at = |v: u32, size: u32| (2.0 * v as f32 + 1.0 - size as f32) / width as f32;
+    let mut pixels = Rgb32FImage::new(width, height);
+    pixels.par_chunks_mut(3 * width as usize).enumerate().for_each(|(y, row)| {
+        for (x, p) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            *p = shade(&see(at(x as u32, width), -at(y as u32, height)), light);
+        }
+    });
+    pixels
 }
 
-fn pixel(v: V) -> image::Rgb<f32> {
-    image::Rgb(v)
+/// Writes a picture under each of `lights` into `dir` as half-float OpenEXR, and their list, `lights.lp`.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Picture`].
+pub fn write(dir: &Path, size: (u32, u32), lights: &[V]) -> Result<()> {
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
+    let shot = |(i, light): (usize, &V)| Shot { path: dir.join(format!("l{i:03}.exr")), light: *light };
+    let shots: Vec<Shot> = lights.iter().enumerate().map(shot).collect();
+    for s in &shots {
+        write_exr(&s.path, &Picture::new(picture(size, s.light)), &ExrOptions::default())?;
+    }
+    Ok(translume_image::atomic::write_bytes(&dir.join("lights.lp"), to_lp(&shots, dir).as_bytes())?)
 }
