@@ -196,19 +196,35 @@ fn solve_subset(normal: &[Vec<f64>], active: &[usize]) -> Option<Vec<f64>> {
     (n > 0).then_some(x)
 }
 
-/// Fits up to `terms` exponentials: fewer where more find no sound fit or do not pay. The sum of squares of the
-/// logarithm is returned with them; `None` without samples.
+/// With fewer samples than this for each parameter, the number of terms is chosen by what they pay.
+const PLENTY: f64 = 40.0;
+
+/// Fits up to `terms` exponentials: fewer where more find no sound fit, or are not worth it. The sum of squares of the
+/// logarithm is returned with them; `None` without samples at two distances.
+///
+/// Few samples are overfitted by many terms, which extrapolate badly. So the fits are then compared by Schwarz's criterion,
+/// N ln(S/N) + p ln N for the sum of squares S of p parameters; with many samples more terms win it anyway.
 pub(crate) fn fit_sum(data: &[Datum], terms: usize, scratch: &mut Scratch) -> Option<(Exponentials, f64)> {
     let reach = data.iter().map(|d| d.r).fold(0.0, f64::max);
     if reach <= 0.0 {
         return None;
     }
-    (1..=terms).rev().find_map(|n| {
-        let (x, cost) = fit(&Sums::new(n, reach), data, scratch)?;
+    let weight: f64 = data.iter().map(|d| d.weight).sum();
+    let criterion = |n: usize, cost: f64| weight * (cost / weight + 1e-14).ln() + 2.0 * n as f64 * weight.ln();
+    let mut best: Option<(Exponentials, f64, f64)> = None;
+    for n in (1..=terms).rev() {
+        let Some((x, cost)) = fit(&Sums::new(n, reach), data, scratch) else { continue };
         // Two rates in one: the terms are not told apart by the samples, and their amplitudes mean nothing.
         let merged = (n..2 * n).any(|i| (n..i).any(|j| (x[i] - x[j]).abs() < 1e-4));
-        (!merged || n == 1).then(|| (to_exponentials(&x), cost))
-    })
+        let value = criterion(n, cost);
+        if (!merged || n == 1) && best.as_ref().is_none_or(|b| value < b.2) {
+            best = Some((to_exponentials(&x), cost, value));
+        }
+        if best.is_some() && weight >= PLENTY * 2.0 * n as f64 {
+            break;
+        }
+    }
+    best.map(|(sum, cost, _)| (sum, cost))
 }
 
 /// Parameters as amplitudes and decays, fastest first.

@@ -108,6 +108,9 @@ impl PointEvaluator<'_> {
     }
 }
 
+/// Weight of samples that a direction needs for a fall-off of its own.
+const FEWEST: f64 = 6.0;
+
 /// Fits points one after the other, keeping its buffers.
 pub struct Fitter {
     params: Params,
@@ -168,7 +171,8 @@ impl Fitter {
     fn fit_segment(&mut self, l: usize, whole: &Curve) -> Segment {
         samples_of(&self.samples, l, self.params.segments, &mut self.data);
         let samples = self.data.iter().map(|d| d.weight).sum();
-        match self.fit_data() {
+        let enough = samples >= FEWEST;
+        match self.fit_data().filter(|_| enough) {
             Some((curve, _)) => Segment { curve, samples, borrowed: false },
             None => Segment { curve: whole.clone(), samples, borrowed: true },
         }
@@ -201,7 +205,8 @@ impl Fitter {
             })
             .collect();
         if let Some(mut sums) = sums {
-            refine(&mut self.samples, &mut sums, &mut self.scratch);
+            let fixed: Vec<bool> = segments.iter().map(|s| s.borrowed).collect();
+            refine(&mut self.samples, &mut sums, &fixed, &mut self.scratch);
             segments.iter_mut().zip(sums).for_each(|(s, sum)| s.curve = Curve::Exponential(sum));
         }
     }

@@ -1,4 +1,4 @@
-//! Subsurface scattering, measured: the fall-off of diffuse reflectance around a lit point, fitted.
+//! Subsurface scattering, measured: capture sets, and models of the diffuse reflectance around lit points.
 //!
 //! Lengths are millimetres, coefficients mm⁻¹, the diffuse subsurface reflectance R_d is mm⁻² (radiosity out per power in).
 //! Parameters belong to the lit point x_i: R_d(x_i → x_o) is not symmetric in its arguments.
@@ -8,11 +8,15 @@
 //! | `npy` | sample lists, a block at a time |
 //! | `lanes`, `lm`, `radial` | least squares; the fit of one fall-off |
 //! | `exponential`, `diffusion`, `curve` | the models |
-//! | `segments`, `fit`, `batch` | directions, one point, all points |
+//! | `segments`, `fit`, `batch` | directions, one point, all points of a list |
+//! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
+//! | `simulate` | captures of slabs of heterogeneous media |
+//! | `planar` | the exponential model of a flat sample, and its error |
 //!
 //! This crate knows nothing about options, scenes or how a picture is rendered from a model.
 
 mod batch;
+pub mod capture;
 mod curve;
 mod diffusion;
 mod exponential;
@@ -20,8 +24,10 @@ mod fit;
 mod lanes;
 mod lm;
 mod npy;
+pub mod planar;
 mod radial;
 mod segments;
+pub mod simulate;
 
 pub use batch::{FIT_VERSION, Sink, Summary, fit_file};
 pub use curve::{Curve, Evaluator, Exponentials};

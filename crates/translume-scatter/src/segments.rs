@@ -56,6 +56,8 @@ struct Blended<'a> {
     families: Vec<Sums>,
     /// Where the parameters of each segment begin, and their number at the end.
     offsets: Vec<usize>,
+    /// Segments that stay as they are.
+    fixed: &'a [bool],
 }
 
 impl Problem for Blended<'_> {
@@ -71,7 +73,7 @@ impl Problem for Blended<'_> {
         for group in self.samples.chunk_by(|a, b| a.segment == b.segment) {
             let near = group[0].segment;
             let far = (near + 1) % m;
-            let pair = [near, far].map(|l| (&self.families[l], &prepared[l]));
+            let pair = [near, far].map(|l| Side { family: &self.families[l], at: &prepared[l], fixed: self.fixed[l] });
             let offsets = [near, far].map(|l| self.offsets[l]);
             // Three terms at most on both sides is the usual case, worth a size of its own.
             let size = part(near).len() + part(far).len();
@@ -84,7 +86,12 @@ impl Problem for Blended<'_> {
     }
 }
 
-type Side<'a> = (&'a Sums, &'a PreparedSum);
+/// A segment on one side of a sample.
+struct Side<'a> {
+    family: &'a Sums,
+    at: &'a PreparedSum,
+    fixed: bool,
+}
 
 /// Adds the samples between two segments' centres to the normal equations; their sum of squares.
 fn add_pair<const N: usize>(
@@ -99,12 +106,14 @@ fn add_pair<const N: usize>(
         return None;
     }
     let n = gradient.len();
-    let sizes = pair.map(|(family, _)| family.parameters());
+    let sizes = [pair[0].family.parameters(), pair[1].family.parameters()];
+    // A parameter without derivatives is not moved.
+    let fixed = |i: usize| pair[usize::from(i >= sizes[0])].fixed;
     // Where parameter i of the pair is among all.
     let at = |i: usize| if i < sizes[0] { offsets[0] + i } else { offsets[1] + i - sizes[0] };
-    for a in 0..sizes[0] + sizes[1] {
+    for a in (0..sizes[0] + sizes[1]).filter(|&a| !fixed(a)) {
         gradient[at(a)] += sums.right(a);
-        for b in a..sizes[0] + sizes[1] {
+        for b in (a..sizes[0] + sizes[1]).filter(|&b| !fixed(b)) {
             let (row, column) = (at(a).min(at(b)), at(a).max(at(b)));
             normal[row * n + column] += sums.product(a, b);
         }
@@ -120,8 +129,8 @@ fn sum_pair<const N: usize>(group: &[Directed], pair: &[Side<'_>; 2], sums: &mut
 
 #[inline(always)]
 fn sum_pair_here<const N: usize>(group: &[Directed], pair: &[Side<'_>; 2], sums: &mut Squares<N>) -> bool {
-    let [(near, near_at), (far, far_at)] = *pair;
-    let sizes = [near.parameters(), far.parameters()];
+    let [near, far] = pair;
+    let sizes = [near.family.parameters(), far.family.parameters()];
     let zero: Block = [0.0; LANES];
     let (mut r, mut ln, mut weight, mut blend) = (zero, zero, zero, zero);
     let (mut near_values, mut far_values, mut values) = (zero, zero, zero);
@@ -133,8 +142,8 @@ fn sum_pair_here<const N: usize>(group: &[Directed], pair: &[Side<'_>; 2], sums:
             weight[l] = if l < block.len() { 1.0 } else { 0.0 };
         }
         let (near_j, far_j) = j.split_at_mut(sizes[0]);
-        near.blocks(sizes[0] / 2, near_at, &r, &mut near_values, near_j);
-        far.blocks(sizes[1] / 2, far_at, &r, &mut far_values, far_j);
+        near.family.blocks(sizes[0] / 2, near.at, &r, &mut near_values, near_j);
+        far.family.blocks(sizes[1] / 2, far.at, &r, &mut far_values, far_j);
         near_j.iter_mut().for_each(|j| (0..LANES).for_each(|l| j[l] *= 1.0 - blend[l]));
         far_j[..sizes[1]].iter_mut().for_each(|j| (0..LANES).for_each(|l| j[l] *= blend[l]));
         for l in 0..LANES {
@@ -148,9 +157,9 @@ fn sum_pair_here<const N: usize>(group: &[Directed], pair: &[Side<'_>; 2], sums:
     true
 }
 
-/// Refines sums that were fitted apart on all samples together; left as they are where that finds nothing sound. At
-/// least three segments: with two, a segment is both neighbours of the other.
-pub(crate) fn refine(samples: &mut [Directed], segments: &mut [Exponentials], scratch: &mut Scratch) {
+/// Refines sums that were fitted apart on all samples together, but for those that are `fixed`; left as they are where that
+/// finds nothing sound. At least three segments: with two, a segment is both neighbours of the other.
+pub(crate) fn refine(samples: &mut [Directed], segments: &mut [Exponentials], fixed: &[bool], scratch: &mut Scratch) {
     let reach = samples.iter().map(|s| s.r).fold(0.0, f64::max);
     samples.sort_by_key(|s| s.segment);
     let mut offsets = vec![0];
@@ -161,15 +170,12 @@ pub(crate) fn refine(samples: &mut [Directed], segments: &mut [Exponentials], sc
         offsets.push(x.len());
     }
     let families: Vec<Sums> = segments.iter().map(|s| Sums::new(s.c.len(), reach)).collect();
-    let problem = Blended { samples, families, offsets };
+    let problem = Blended { samples, families, offsets, fixed };
     if minimise(&problem, &mut x, Limits { steps: 25, tolerance: 1e-4 }, &mut scratch.lm).is_none() {
         return;
     }
-    for (l, segment) in segments.iter_mut().enumerate() {
-        let part = &x[problem.offsets[l]..problem.offsets[l + 1]];
-        if !problem.families[l].sound(part) {
-            return;
-        }
-        *segment = to_exponentials(part);
+    let part = |l: usize| &x[problem.offsets[l]..problem.offsets[l + 1]];
+    if (0..segments.len()).all(|l| problem.families[l].sound(part(l))) {
+        segments.iter_mut().enumerate().for_each(|(l, s)| *s = to_exponentials(part(l)));
     }
 }

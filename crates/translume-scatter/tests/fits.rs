@@ -31,8 +31,11 @@ fn exponentials(fit: &PointFit, l: usize) -> (&[f64], &[f64]) {
     }
 }
 
+/// Name, σs′, σa and total reflectance.
+type Material = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
+
 /// σs′, σa (mm⁻¹) and diffuse reflectance of Jensen et al. 2001, their table of materials; η = 1.3, marble 1.5.
-const JENSEN: [(&str, [f64; 3], [f64; 3], [f64; 3]); 12] = [
+const JENSEN: [Material; 12] = [
     ("apple", [2.29, 2.39, 1.97], [0.0030, 0.0034, 0.046], [0.85, 0.84, 0.53]),
     ("chicken1", [0.15, 0.21, 0.38], [0.015, 0.077, 0.19], [0.31, 0.15, 0.10]),
     ("chicken2", [0.19, 0.25, 0.32], [0.018, 0.088, 0.20], [0.32, 0.16, 0.10]),

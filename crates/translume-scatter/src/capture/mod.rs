@@ -1,0 +1,117 @@
+//! Capture sets: pictures of an object lit by a narrow beam, point by point, with the rig that took them.
+
+mod rig;
+mod zarr;
+
+pub use rig::{Camera, Channel, Laser, RIG_VERSION, Rig, View};
+pub(crate) use rig::{dot, norm, normalize, sub};
+pub use zarr::{DIMENSIONS, Frames};
+
+use std::path::{Path, PathBuf};
+use translume_image::{Error, Result, atomic};
+use translume_mesh::{ReadOptions, TriMesh, ply};
+
+/// A capture set on disk: the rig and the surface in memory, frames read when they are asked for.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// Its folder.
+    pub path: PathBuf,
+    /// Camera, laser, channels.
+    pub rig: Rig,
+    /// The surface.
+    pub mesh: TriMesh,
+    /// The frames.
+    pub frames: Frames,
+}
+
+impl Capture {
+    /// Opens the folder `path` and checks that its parts go together.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`].
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = path.join("rig.json");
+        let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
+        let rig: Rig = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
+        check(&file, &rig)?;
+        let frames = Frames::open(&path.join(&rig.frames))?;
+        agree(&file, &rig, &frames)?;
+        let mesh_file = path.join(&rig.mesh);
+        let loaded = translume_mesh::read(&mesh_file, &ReadOptions::default())
+            .map_err(|e| Error::invalid(&file, format!("its mesh: {e}")))?;
+        let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
+        let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no triangles"))?;
+        Ok(Self { path: path.to_owned(), rig, mesh, frames })
+    }
+
+    /// Writes rig and mesh into the folder `path` and makes an array for the frames.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn create(path: &Path, rig: Rig, mesh: TriMesh) -> Result<Self> {
+        std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
+        let camera = &rig.views[0].camera;
+        let shape = [rig.views.len(), rig.laser.hits_mm.len(), rig.channels.len(), camera.height, camera.width];
+        let frames = Frames::create(&path.join(&rig.frames), shape)?;
+        let text = serde_json::to_string_pretty(&rig).expect("plain data");
+        atomic::write_bytes(&path.join("rig.json"), format!("{text}\n").as_bytes())?;
+        let mesh_file = path.join(&rig.mesh);
+        atomic::write(&mesh_file, |out| ply::write(&mesh, out).map_err(|e| Error::io(&mesh_file, e)))?;
+        Ok(Self { path: path.to_owned(), rig, mesh, frames })
+    }
+}
+
+/// What `rig.json` says by itself.
+fn check(file: &Path, rig: &Rig) -> Result<()> {
+    let invalid = |what: &str| Err(Error::invalid(file, what.to_owned()));
+    if rig.format != "translume capture" || rig.units != "mm" {
+        return invalid("not a translume capture in mm");
+    }
+    if rig.version.split('.').next() != RIG_VERSION.split('.').next() {
+        return Err(Error::unsupported(file, format!("version {}; this program reads {RIG_VERSION}", rig.version)));
+    }
+    let outside = |name: &String| {
+        Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) || name.is_empty()
+    };
+    if outside(&rig.frames) || outside(&rig.mesh) {
+        return invalid("frames and mesh must lie inside the capture's folder");
+    }
+    if !(1.0..=4.0).contains(&rig.eta) {
+        return invalid("eta must lie between 1 and 4");
+    }
+    if rig.laser.power.len() != rig.channels.len() || !rig.laser.power.iter().all(|p| *p > 0.0 && p.is_finite()) {
+        return invalid("the laser needs one positive power for each channel");
+    }
+    if rig.laser.hits_mm.iter().flatten().chain(&rig.laser.origin_mm).any(|x| !x.is_finite()) {
+        return invalid("a position of the laser is not finite");
+    }
+    let channel = |c: &Channel| c.white_balance > 0.0 && c.noise_floor >= 0.0 && c.noise_floor.is_finite();
+    if !rig.channels.iter().all(channel) {
+        return invalid("white balance must be positive and the noise floor 0 or more");
+    }
+    let pose = |v: &View| v.camera.focal_px > 0.0 && v.camera.camera_from_world.iter().flatten().all(|x| x.is_finite());
+    if !rig.views.iter().all(pose) {
+        return invalid("a camera needs a positive focal length and a finite pose");
+    }
+    Ok(())
+}
+
+/// Whether the rig counts what the array holds.
+fn agree(file: &Path, rig: &Rig, frames: &Frames) -> Result<()> {
+    let counts = [rig.views.len(), rig.laser.hits_mm.len(), rig.channels.len()];
+    if counts != frames.shape[..3] {
+        let [v, p, c, ..] = frames.shape;
+        return Err(Error::invalid(
+            file,
+            format!(
+                "it has {} views, {} laser positions and {} channels, the frames {v}, {p} and {c}",
+                counts[0], counts[1], counts[2]
+            ),
+        ));
+    }
+    let [.., rows, columns] = frames.shape;
+    match rig.views.iter().position(|v| (v.camera.height, v.camera.width) != (rows, columns)) {
+        Some(i) => Err(Error::invalid(file, format!("the camera of view {i} does not have {columns} × {rows} pixels"))),
+        None => Ok(()),
+    }
+}

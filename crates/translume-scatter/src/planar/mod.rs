@@ -1,0 +1,12 @@
+//! The exponential model of a planar sample [Fuchs 2005, §4]: a fall-off for each lit point and direction, and a modulation
+//! texture.
+
+mod error;
+mod file;
+mod model;
+mod samples;
+
+pub use error::{ErrorMap, Mean, error_map};
+pub use file::{MODEL_VERSION, ModelHead, load_model, save_model};
+pub use model::{LitPoint, PlanarModel, PlanarParams, fit_planar};
+pub use samples::{PlanarCapture, Spot, held_out};

@@ -1,0 +1,209 @@
+//! `translume scatter fit`: sample lists and planar captures to models.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use clap::builder::RangedU64ValueParser;
+use serde_json::json;
+use std::path::PathBuf;
+use translume_image::atomic;
+use translume_scatter::capture::Capture;
+use translume_scatter::planar::{MODEL_VERSION, ModelHead, PlanarCapture, PlanarParams, fit_planar, save_model};
+use translume_scatter::{Error, MAX_TERMS, Model, Params, SampleFile, Sink, fit_file};
+
+const EXAMPLES: &str = "\
+Examples:
+  Sums of three exponentials:
+    translume scatter fit samples.npy --model exponential --terms 3 -o fit.json
+
+  Fall-off that depends on the direction:
+    translume scatter fit samples.npy --segments 8 -o fit.json
+
+  Scattering and absorption of a homogeneous material, by Jensen's dipole:
+    translume scatter fit samples.npy --model dipole --eta 1.3 -o dipole.json
+
+  A capture of a flat sample, one fall-off for all colours:
+    translume scatter fit capture/ --segments 8 --shared -o model/";
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ModelName {
+    /// Sum of exponentials (Fuchs et al. 2005)
+    Exponential,
+    /// Diffusion dipole (Jensen et al. 2001)
+    Dipole,
+    /// Dipole with Grosjean's diffusion and better boundary (d'Eon & Irving 2011)
+    BetterDipole,
+    /// Normalised diffusion (Burley 2015)
+    Normalized,
+}
+
+/// Fit a model of the fall-off around lit points, to a list of samples or a capture
+///
+/// SAMPLES.npy is a float32 array (points, samples, 3): x and y from the lit point in mm, and the value of R_d; 0 or
+/// less is below the noise floor and left out. The errors of the logarithm are minimised, so that far samples count
+/// like near ones. The file is read a block at a time and may be larger than the memory; the result is JSON.
+///
+/// A capture is the folder of a flat sample; the result is a folder with the fall-offs and a modulation texture. Every fifth
+/// pixel is kept from the fit, for `report`.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = EXAMPLES)]
+pub(super) struct Args {
+    /// A list of samples, .npy, or the folder of a capture
+    #[arg(value_name = "SAMPLES.npy|CAPTURE")]
+    input: PathBuf,
+    /// The fits, as JSON, or the folder of the model of a capture
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// The model
+    #[arg(long, value_enum, default_value_t = ModelName::Exponential)]
+    model: ModelName,
+    /// Most exponentials of a sum; fewer are kept where the samples do not tell more apart
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<usize>::new().range(1..=MAX_TERMS as u64))]
+    terms: usize,
+    /// Directions with a fall-off of their own, blended between their centres: 1, or 3 to 64
+    #[arg(long, value_name = "M", default_value_t = 1, value_parser = RangedU64ValueParser::<usize>::new().range(1..=64))]
+    segments: usize,
+    /// Index of refraction for the dipoles
+    #[arg(long, value_name = "ETA", default_value_t = 1.3)]
+    eta: f64,
+    /// Fit a factor to the dipoles too, for samples whose unit is not mm⁻²
+    #[arg(long)]
+    free_scale: bool,
+    /// Captures: one fall-off for all colours, with a factor for each
+    #[arg(long)]
+    shared: bool,
+    /// Captures: pixels above this multiple of the noise floor are samples
+    #[arg(long, value_name = "FACTOR", default_value_t = 4.0)]
+    threshold: f64,
+}
+
+pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
+    let params = params(args)?;
+    match args.input.is_dir() {
+        true => fit_capture(args, params, ctx),
+        false if args.shared => Err(Usage("--shared: a list of samples has one channel only".into()).into()),
+        false => fit_list(args, params, ctx),
+    }
+}
+
+fn params(args: &Args) -> anyhow::Result<Params> {
+    if args.segments == 2 {
+        return Err(
+            Usage("--segments 2: two directions cannot be blended around a circle; take 1, or 3 to 64".into()).into()
+        );
+    }
+    if !(1.0..=4.0).contains(&args.eta) {
+        return Err(Usage(format!("--eta {}: an index of refraction lies between 1 and 4", args.eta)).into());
+    }
+    let model = match args.model {
+        ModelName::Exponential => Model::Exponential,
+        ModelName::Dipole => Model::Dipole,
+        ModelName::BetterDipole => Model::BetterDipole,
+        ModelName::Normalized => Model::Normalized,
+    };
+    if args.threshold.is_nan() || args.threshold < 0.0 {
+        return Err(Usage("--threshold: it must be 0 or more".into()).into());
+    }
+    if args.free_scale && !matches!(model, Model::Dipole | Model::BetterDipole) {
+        return Err(Usage("--free-scale: only the dipoles have a scale of their own".into()).into());
+    }
+    Ok(Params { model, terms: args.terms, segments: args.segments, eta: args.eta, free_scale: args.free_scale })
+}
+
+fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {
+    let input = SampleFile::open(&args.input)?;
+    let bar = ctx.progress(input.points as u64, "fitting");
+    let mut summary = None;
+    atomic::write(&args.output, |out| {
+        let sink = Sink { out, path: &args.output, command: &ctx.command_line };
+        let done = fit_file(input, &params, sink, |points| bar.set_position(points as u64))?;
+        if done.fitted == 0 {
+            return Err(Error::invalid(
+                &args.input,
+                "no point has enough samples above 0 at different distances for a fit",
+            ));
+        }
+        summary = Some(done);
+        Ok(())
+    })?;
+    let summary = summary.expect("written");
+    if summary.fitted < summary.points {
+        ctx.warn(format!(
+            "{} of {} points have too few samples for a fit",
+            summary.points - summary.fitted,
+            summary.points
+        ));
+    }
+    if summary.not_finite > 0 {
+        ctx.warn(format!(
+            "{}: {} samples are infinite or NaN and were left out",
+            args.input.display(),
+            summary.not_finite
+        ));
+    }
+    ctx.text(format!(
+        "{} points, {} samples above the noise floor: RMS of ln(model/sample) {:.4} in the mean, {:.4} at worst",
+        summary.fitted, summary.samples, summary.mean_rms, summary.worst_rms
+    ))?;
+    let mut report = json!(summary_json(&summary));
+    report["output"] = args.output.to_string_lossy().into();
+    ctx.emit_json(report)
+}
+
+fn summary_json(s: &translume_scatter::Summary) -> serde_json::Value {
+    json!({
+        "points": s.points, "fitted": s.fitted, "samples": s.samples, "not_finite": s.not_finite,
+        "fewer_terms": s.fewer_terms, "borrowed": s.borrowed, "mean_rms": s.mean_rms, "worst_rms": s.worst_rms,
+    })
+}
+
+fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
+    let capture = PlanarCapture::new(Capture::open(&args.input)?, args.threshold)?;
+    if capture.missing > 0 {
+        ctx.warn(format!(
+            "{}: {} frames are missing; their laser positions are left out",
+            args.input.display(),
+            capture.missing
+        ));
+    }
+    let fit = Params { eta: capture.capture.rig.eta, ..fit };
+    let params = PlanarParams { fit, shared: args.shared, ..PlanarParams::default() };
+    let bar = ctx.progress(capture.spots.len() as u64, "fitting");
+    let model = fit_planar(&capture, &params, || bar.inc(1))?;
+    let fitted = model.points.iter().filter(|p| p.fall_off.iter().all(|f| f.rms.is_some())).count();
+    if fitted == 0 {
+        return Err(Error::invalid(&args.input, "no laser position has enough pixels above the noise for a fit").into());
+    }
+    if fitted < model.points.len() {
+        ctx.warn(format!(
+            "{} of {} laser positions have too few samples for a fit",
+            model.points.len() - fitted,
+            model.points.len()
+        ));
+    }
+    let head = ModelHead {
+        format: "translume planar model".into(),
+        version: MODEL_VERSION.into(),
+        command: ctx.command_line.clone(),
+        model: params.fit.model,
+        segments: params.fit.segments,
+        terms: params.fit.terms,
+        shared: params.shared,
+        threshold: args.threshold,
+        channels: capture.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
+        frames: capture.spots.iter().map(|s| s.frame).collect(),
+    };
+    let [.., rows, columns] = capture.capture.frames.shape;
+    save_model(&args.output, &head, &model, (columns, rows))?;
+    let rms: Vec<f64> = model.points.iter().flat_map(|p| &p.fall_off).filter_map(|f| f.rms).collect();
+    let mean = rms.iter().sum::<f64>() / rms.len() as f64;
+    let seen: Vec<f32> = model.texture_samples.iter().flatten().flatten().copied().collect();
+    let textured = seen.iter().filter(|n| **n > 0.0).count() as f64 / seen.len() as f64;
+    ctx.text(format!(
+        "{fitted} lit points: RMS of ln(fall-off/sample) {mean:.4} in the mean; modulation known for {:.0} % of the pixels",
+        100.0 * textured
+    ))?;
+    ctx.emit_json(json!({
+        "output": args.output.to_string_lossy(), "points": model.points.len(), "fitted": fitted,
+        "missing_frames": capture.missing, "mean_rms": mean, "textured": textured,
+    }))
+}
