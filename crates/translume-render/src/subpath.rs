@@ -130,7 +130,7 @@ pub fn scattering(
 ) -> Option<Scattering> {
     let seen = world.shading_from(hit, shading, to_camera);
     let (f_cos, pdf_to_light) = seen.eval_cos_pdf(to_camera, to_light, Mode::Radiance);
-    let cos = hit.n.dot(to_light).abs();
+    let cos = hit.n().dot(to_light).abs();
     if f_cos == Rgb::ZERO || cos <= 0.0 {
         return None;
     }
@@ -199,7 +199,7 @@ impl Walk<'_> {
                 let escape = Escape { d: s.ray.d, throughput: s.throughput, pdf_w, parent: s.parent, segments };
                 return (Some(escape), start_back);
             };
-            let pdf = s.density.at(hit.point.p, hit.n, hit.wo);
+            let pdf = s.density.at(hit.point.p, hit.n(), hit.wo);
             let (throughput, parent) = (s.throughput, s.parent);
             let survival = s.survival;
             out.push(Vertex { hit, throughput, pdf, pdf_back: 0.0, parent, segments, survival, delta: false });
@@ -222,7 +222,7 @@ impl Walk<'_> {
                 out[index].delta = step.delta;
                 let back = Density::Angle { from: hit.point.p, pdf_w: step.pdf_back_w };
                 match out.get_mut(parent as usize) {
-                    Some(parent) => parent.pdf_back = back.at(parent.hit.point.p, parent.hit.n, hit.wo),
+                    Some(parent) => parent.pdf_back = back.at(parent.hit.point.p, parent.hit.n(), hit.wo),
                     None => {
                         start_back = start
                             .map_or(0.0, |q| q.from_solid_angle(step.pdf_back_w, hit.wo, (q.p - hit.point.p).length()));
@@ -248,7 +248,7 @@ impl Walk<'_> {
         let (wo, wi) = (hit.wo, sample.wi);
         let (to_light, to_camera) = if self.mode == Mode::Radiance { (wi, wo) } else { (wo, wi) };
         let cosines = |n: Vec3| (n.dot(to_light).abs(), n.dot(to_camera).abs());
-        let (light, camera) = cosines(hit.n);
+        let (light, camera) = cosines(hit.n());
         if sample.flags.contains(Flags::DELTA) {
             let (light_s, camera_s) = cosines(shading.frame.n);
             // n² |cos θ| dω is the same on both sides of an interface.

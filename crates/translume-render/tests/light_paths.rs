@@ -46,7 +46,7 @@ impl Integrator for LightTracer {
             let shading = world.shading(&v.hit);
             let Some(here) = subpath::scattering(world, &v.hit, &shading, v.hit.wo, camera.wi) else { continue };
             let visible = world.transmittance_to_camera(&camera, &v.hit, self.0.hide_emitters, 100);
-            let value = v.throughput * here.f * visible * (camera.weight * v.hit.n.dot(camera.wi).abs());
+            let value = v.throughput * here.f * visible * (camera.weight * v.hit.n().dot(camera.wi).abs());
             work.splats.push(Splat { film: camera.film, value });
         }
         Rgb::ZERO
@@ -273,7 +273,7 @@ fn scattering_is_one_function_from_both_ends() {
         let shading = world.shading(&hit);
         let (f, _) = shading.eval_cos_pdf(hit.wo, out, Mode::Radiance);
         let adjoint = subpath::scattering(&world, &hit, &shading, out, hit.wo);
-        let same = adjoint.map_or(Rgb::ZERO, |s| s.f * hit.n.dot(out).abs());
+        let same = adjoint.map_or(Rgb::ZERO, |s| s.f * hit.n().dot(out).abs());
         assert!((f - same).abs().max_element() < 1e-4 * (1.0 + f.max_element()), "{f} {same}");
         met += 1;
     }

@@ -105,7 +105,7 @@ fn what_was_sampled_is_found_with_its_density() {
         }
         seen[light] += 1;
         assert!((radiance - sample.radiance).abs().max_element() < 1e-6);
-        let pdf_w = world.lights().pdf_surface(p, Vec3::ZERO, light, hit.point.p, hit.n);
+        let pdf_w = world.lights().pdf_surface(p, Vec3::ZERO, light, hit.point.p, hit.n());
         assert!((pdf_w / sample.pdf_w - 1.0).abs() < 1e-2, "{light}: {pdf_w} {}", sample.pdf_w);
     }
     assert!(seen.iter().all(|&n| n > 20), "{seen:?}");

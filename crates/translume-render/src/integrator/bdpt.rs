@@ -98,7 +98,7 @@ impl<'a> Chain<'a> {
     /// Density per area of the parent of `v` by a walk that goes on from `v` towards it with `pdf_w`; `None`: no parent.
     fn back_to_parent(&self, v: &Vertex, pdf_w: f32) -> Option<f32> {
         let parent = self.parent(v)?;
-        Some(Density::Angle { from: v.hit.point.p, pdf_w }.at(parent.hit.point.p, parent.hit.n, v.hit.wo))
+        Some(Density::Angle { from: v.hit.point.p, pdf_w }.at(parent.hit.point.p, parent.hit.n(), v.hit.wo))
     }
 }
 
@@ -205,7 +205,7 @@ impl Sample<'_, '_> {
             if !self.own.wants(0, t) {
                 continue;
             }
-            let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n, far: false };
+            let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
             let others = match self.camera.parent(v) {
                 None => 0.0,
                 Some(parent) => {
@@ -239,7 +239,7 @@ impl Sample<'_, '_> {
                 Some(parent) => {
                     let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
                     let (begin, next) = world.lights().pdf_start(&point, -d);
-                    let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n, d);
+                    let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), d);
                     let own = f64::from(escape.pdf_w);
                     let ratio = f64::from(begin) / own;
                     let from = From { at: escape.parent as usize, ratio, back, parent_back: None, end: false };
@@ -320,7 +320,7 @@ impl Sample<'_, '_> {
         let from = From {
             at: i,
             ratio: f64::from(begin) / direct,
-            back: density.at(p, v.hit.n, wi),
+            back: density.at(p, v.hit.n(), wi),
             parent_back: self.camera.back_to_parent(v, here.pdf_to_camera),
             end: true,
         };
@@ -329,7 +329,7 @@ impl Sample<'_, '_> {
             false => f64::from(point.from_solid_angle(here.pdf_to_light, wi, distance)) / direct,
         };
         let weight = self.own.weight(hit * hit + self.fewer_from_camera(&from));
-        let cos = v.hit.n.dot(wi).abs();
+        let cos = v.hit.n().dot(wi).abs();
         v.throughput * visible * sample.radiance * here.f * (cos * weight / sample.pdf_w)
     }
 
@@ -363,7 +363,7 @@ impl Sample<'_, '_> {
                 let hide = self.own.settings.hide_emitters;
                 let visible = self.world.transmittance_to_camera(&camera, &v.hit, hide, crossings);
                 if visible != Rgb::ZERO {
-                    let back = camera.weight * v.hit.n.dot(camera.wi).abs();
+                    let back = camera.weight * v.hit.n().dot(camera.wi).abs();
                     let (parent_back, start_back) = self.back_of_light(&path, &v, here.pdf_to_light);
                     let from = From { at: i, ratio: 1.0 / f64::from(view.pixels), back, parent_back, end: true };
                     let weight = self.own.weight(self.fewer_from_light(&path, &from, start_back));
@@ -410,7 +410,7 @@ impl Sample<'_, '_> {
         if visible == Rgb::ZERO {
             return visible;
         }
-        let (cos_y, cos_z) = (y.hit.n.dot(d).abs(), z.hit.n.dot(d).abs());
+        let (cos_y, cos_z) = (y.hit.n().dot(d).abs(), z.hit.n().dot(d).abs());
         let (parent_back, start_back) = self.back_of_light(path, y, at_y.pdf_to_light);
         let of_light = From { at: l, ratio: 1.0, back: at_z.pdf_to_light * cos_y / distance2, parent_back, end: true };
         let of_camera = From {

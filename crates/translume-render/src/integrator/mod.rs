@@ -230,7 +230,7 @@ pub(crate) fn features(world: &World, ray: &Ray) -> Option<Features> {
     Some(Features {
         albedo: shading.bsdf.albedo(),
         ns: shading.frame.n,
-        n: hit.n,
+        n: hit.n(),
         p: hit.point.p,
         uv: hit.uv(),
         depth: hit.t * ray.d.length(),

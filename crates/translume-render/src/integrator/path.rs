@@ -80,7 +80,7 @@ impl Integrator for Path {
             if let Some((value, light)) = world.emission(&hit) {
                 let pdf_w = match origin.pdf_w.is_infinite() {
                     true => 0.0,
-                    false => world.lights().pdf_surface(origin.p, origin.n, light, hit.point.p, hit.n),
+                    false => world.lights().pdf_surface(origin.p, origin.n, light, hit.point.p, hit.n()),
                 };
                 radiance += throughput * value * power_heuristic(origin.pdf_w, pdf_w);
             }

@@ -134,11 +134,11 @@ impl PhotonMapping {
         let (mut sum, mut last, mut found, mut farthest2) = (Rgb::ZERO, Rgb::ZERO, 0, 0.0);
         let wanted = |photon: &Photon| {
             let way = photon.p - p;
-            photon.segments <= segments && way.dot(hit.n).abs() <= FLAT * way.length() + 1e-4 * reach
+            photon.segments <= segments && way.dot(hit.n()).abs() <= FLAT * way.length() + 1e-4 * reach
         };
         map.nearest(p, self.neighbours, reach, wanted, |photon, d2| {
             let (f_cos, _) = shading.eval_cos_pdf(hit.wo, photon.wi, Mode::Radiance);
-            let cos = hit.n.dot(photon.wi).abs();
+            let cos = hit.n().dot(photon.wi).abs();
             last = if cos > 0.0 { f_cos / cos * photon.power } else { Rgb::ZERO };
             sum += last;
             (found, farthest2) = (found + 1, d2);
@@ -184,7 +184,7 @@ impl PhotonMapping {
         let Some((value, light)) = world.emission(hit) else { return Rgb::ZERO };
         let pdf_w = match origin.pdf_w.is_infinite() {
             true => 0.0,
-            false => world.lights().pdf_surface(origin.p, origin.n, light, hit.point.p, hit.n),
+            false => world.lights().pdf_surface(origin.p, origin.n, light, hit.point.p, hit.n()),
         };
         value * power_heuristic(origin.pdf_w, pdf_w)
     }

@@ -309,7 +309,7 @@ impl Integrator for Volpath {
             if let Some((value, light)) = world.emission(&hit) {
                 let pdf_w = match walk.specular {
                     true => 0.0,
-                    false => world.lights().pdf_surface(walk.p, walk.n, light, hit.point.p, hit.n),
+                    false => world.lights().pdf_surface(walk.p, walk.n, light, hit.point.p, hit.n()),
                 };
                 self.found(&mut walk, value, pdf_w);
             }
@@ -329,7 +329,7 @@ fn mean(v: Rgb) -> f32 {
 fn beyond(world: &World, hit: &SurfaceHit, wi: Vec3, medium: Option<MediumId>) -> Option<MediumId> {
     match world.media(hit) {
         Some((interior, exterior)) => {
-            if wi.dot(hit.n) < 0.0 {
+            if wi.dot(hit.n()) < 0.0 {
                 interior
             } else {
                 exterior

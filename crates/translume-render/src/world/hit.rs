@@ -22,10 +22,8 @@ const GAP: f32 = 1e-5;
 /// Where a ray met a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfaceHit {
-    /// Place, and where rays may start.
+    /// Place, normal on the side that the shading normals are on, and where rays may start.
     pub point: SurfacePoint,
-    /// Unit normal of the surface itself, on the side that its shading normals are on.
-    pub n: Vec3,
     /// Shading frame: its normal, the first tangent along ∂p/∂u.
     pub frame: Frame,
     /// Unit direction back along the ray.
@@ -102,6 +100,12 @@ impl Shading<'_> {
 }
 
 impl SurfaceHit {
+    /// Unit normal of the surface itself, on the side that its shading normals are on.
+    #[inline]
+    pub fn n(&self) -> Vec3 {
+        self.point.ng
+    }
+
     pub(crate) fn place(&self) -> Place {
         Place { uv: self.uv, color: self.color }
     }
@@ -144,7 +148,6 @@ impl World {
             point.error = point.error.max(Vec3::splat(GAP * (1.0 + point.p.abs().max_element()).min(self.reach)));
         }
         SurfaceHit {
-            n,
             point,
             frame: Frame::from_normal_tangent(ns, local.dp_du),
             wo: -ray.d.normalize(),

@@ -169,7 +169,7 @@ impl World {
         let surface = &self.surfaces[hit.surface as usize];
         let radiance = surface.radiance?;
         let light = light_of(surface, hit.prim)?;
-        (hit.wo.dot(hit.n) > 0.0).then(|| (texture::eval(&self.scene, radiance, &hit.place()), light))
+        (hit.wo.dot(hit.n()) > 0.0).then(|| (texture::eval(&self.scene, radiance, &hit.place()), light))
     }
 
     /// The normal at `hit` for [`Lights::sample`]: on the side of `wo`, or zero where light may come from any side.

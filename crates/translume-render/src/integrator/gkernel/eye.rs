@@ -101,7 +101,7 @@ impl<'a> Eye<'a> {
     fn emitted(&self, path: &[Vertex], v: &Vertex, behind: f32) -> Rgb {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
-        let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n, far: false };
+        let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(&point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
         let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
@@ -118,7 +118,7 @@ impl<'a> Eye<'a> {
             let Some(parent) = parent else { return far.radiance };
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
             let (begin, next) = lights.pdf_start(&point, -escape.d);
-            let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n, escape.d);
+            let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
             let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
             far.radiance * weight(begin / escape.pdf_w * inner)
         };
@@ -133,7 +133,7 @@ fn weight(others: f32) -> f32 {
 
 /// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
 fn onto(from: Vec3, to: &Vertex, d: Vec3) -> f32 {
-    Density::Angle { from, pdf_w: 1.0 }.at(to.hit.point.p, to.hit.n, d)
+    Density::Angle { from, pdf_w: 1.0 }.at(to.hit.point.p, to.hit.n(), d)
 }
 
 fn depth(path: &[Vertex], v: &Vertex) -> u32 {

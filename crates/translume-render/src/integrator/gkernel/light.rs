@@ -61,6 +61,9 @@ pub(crate) struct LightVertex {
     flags: u8,
 }
 
+// Millions of them are kept at once.
+const _: () = assert!(size_of::<LightVertex>() <= 200);
+
 const FIRST: u8 = 1;
 const LINKED: u8 = 2;
 const FLAT: u8 = 4;
@@ -87,7 +90,7 @@ impl LightVertex {
     /// cos θ at this vertex towards the parent.
     #[inline]
     pub(crate) fn cos(&self) -> f32 {
-        self.hit.n.dot(self.hit.wo).abs()
+        self.hit.n().dot(self.hit.wo).abs()
     }
 }
 
@@ -172,7 +175,7 @@ impl LightPaths {
         let point = light.start.point();
         let (distance, before, back) = match parent {
             Some(parent) => {
-                let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n, wo);
+                let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n(), wo);
                 let before = self.vertices[base + v.parent as usize].radius;
                 ((p - parent.hit.point.p).length(), Some(before), one / parent.pdf)
             }
@@ -229,7 +232,7 @@ impl LightPaths {
 
     /// Whether the parent of `v` sees the plane of `v` all around it, twice as far as the footprint.
     fn is_flat(&mut self, world: &World, v: &LightVertex) -> bool {
-        let frame = Frame::from_normal(v.hit.n);
+        let frame = Frame::from_normal(v.hit.n());
         (0..PROBES).all(|i| {
             let turn = (i as f32 + 0.5) * (4.0 * FRAC_PI_2 / PROBES as f32);
             let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
@@ -237,7 +240,7 @@ impl LightPaths {
             self.rays += 1;
             let Some(hit) = world.intersect(&ray) else { return false };
             let off = hit.point.p - v.hit.point.p;
-            off.dot(v.hit.n).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
+            off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
         })
     }
 

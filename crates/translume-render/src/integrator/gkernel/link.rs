@@ -226,7 +226,7 @@ impl<'a> Linker<'a> {
             return score;
         }
         score.visible = true;
-        let cos_y = y.hit.n.dot(arrival.wi).abs();
+        let cos_y = y.hit.n().dot(arrival.wi).abs();
         let mut kernel = 1.0 / (PI * v.radius * v.radius * v.cos());
         if !v.flat() {
             let (share, rays) = self.share(link, v, &arrival, y);
@@ -275,7 +275,7 @@ impl<'a> Linker<'a> {
                 if there.pdf_to_camera <= 0.0 {
                     return None;
                 }
-                let cos = p.hit.n.dot(wi).abs();
+                let cos = p.hit.n().dot(wi).abs();
                 let across = 1.0 / (distance * distance);
                 Some(Arrival {
                     wi,
@@ -303,7 +303,7 @@ impl<'a> Linker<'a> {
             let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (MARGIN * v.radius)).extend(0.0));
             let ray = self.lights.ray_beside(self.world, v, center + beside);
             let Some(hit) = self.world.intersect(&ray) else { continue };
-            let pdf = arrival.pdf_across * hit.n.dot(ray.d).abs();
+            let pdf = arrival.pdf_across * hit.n().dot(ray.d).abs();
             let radius = self.bandwidth.radius(pdf, if far { f32::INFINITY } else { hit.t }, before);
             if hit.point.p.distance_squared(center) <= radius * radius {
                 return (tried as f32 / (MARGIN * MARGIN), u64::from(tried));

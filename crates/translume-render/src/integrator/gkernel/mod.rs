@@ -237,7 +237,7 @@ impl GKernel {
         if self.printed {
             return 1.0 / (v.radius * v.radius * v.cos()); // eq. 10
         }
-        LightPaths::strength(v) * (eye.hit.n.dot(v.hit.wo).abs() + 0.05)
+        LightPaths::strength(v) * (eye.hit.n().dot(v.hit.wo).abs() + 0.05)
     }
 
     /// h of a step.
