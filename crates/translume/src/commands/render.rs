@@ -181,7 +181,7 @@ fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value 
         })
     });
     let facts: serde_json::Map<String, Value> =
-        integrator.facts().into_iter().map(|(name, n)| (name.to_owned(), n.into())).collect();
+        integrator.facts().into_iter().map(|(name, n)| (name.to_owned(), number(n))).collect();
     json!({ "strategies": parts.collect::<Vec<_>>(), "counts": facts })
 }
 
@@ -197,6 +197,11 @@ fn check_outputs(args: &Args) -> anyhow::Result<()> {
         atomic::check_writable(path)?;
     }
     Ok(())
+}
+
+/// Whole numbers are written as such.
+fn number(n: f64) -> Value {
+    if n.fract() == 0.0 && n.abs() < 1e15 { (n as i64).into() } else { n.into() }
 }
 
 /// The method and its settings: the user's, else the scene's.
