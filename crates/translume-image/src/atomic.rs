@@ -83,7 +83,7 @@ mod tests {
         check_writable(&dir.path().join("new.txt")).unwrap();
         assert!(check_writable(dir.path()).is_err());
         let error = check_writable(&dir.path().join("gone").join("new.txt")).unwrap_err().to_string();
-        assert!(error.contains("new.txt") && !error.contains(".tmp"), "{error}");
+        assert!(error.contains("new.txt") && !error.contains(".translume-"), "{error}");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 }
