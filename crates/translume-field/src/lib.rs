@@ -1,7 +1,7 @@
 //! Reflectance fields: stacks of pictures of one view under many lights, compressed and relit.
 //!
 //! [`Stack`] finds pictures and the directions of their lights, [`compress()`] makes a [`Field`] of them, [`Relighter`]
-//! shows the field under any light, [`file`] keeps it. The method is chapter 4 of N. Menzel's thesis on the
+//! shows the field under any light, [`mod@file`] keeps it. The method is chapter 4 of N. Menzel's thesis on the
 //! simplification of materials (2012): logarithm, principal components, 8 bits, block compression. What the default
 //! model does otherwise, and what that brings, is in `docs/field.md`.
 //!

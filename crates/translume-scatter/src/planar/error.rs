@@ -9,7 +9,7 @@ use translume_image::Result;
 /// ln E(x_i) for each lit point and channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorMap {
-    /// [point][channel]; NaN where there is no held-out sample or no fit.
+    /// Per point, then per channel; NaN where there is no held-out sample or no fit.
     pub ln: Vec<Vec<f64>>,
 }
 

@@ -3,8 +3,8 @@
 //!
 //! Source: Bekaert, Slusallek, Cools, Havran, Seidel: A custom designed density estimator for light transport,
 //! MPI-I-2003-4-004. One pass of the driver is one step (§5): light paths are traced once, then the picture's tiles block by
-//! block: camera paths ([`eye`]), pairs of a camera vertex in a light vertex's footprint ([`link::Candidates`], [`points`]), trial
-//! links, shadow rays in the order of light vertices ([`link::Linker`]). Steps are averaged; the samples of a pixel are its
+//! block: camera paths (`eye`), pairs of a camera vertex in a light vertex's footprint (`link`, `points`), trial
+//! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
 //! camera paths.
 //!
 //! Nothing needs to be set: h is found by the number of footprints of direct light per camera vertex (M = 10), the number
@@ -12,7 +12,7 @@
 //!
 //! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
-//! chosen by the flux that they would bring; merges are weighed by their number (see [`weight`]).
+//! chosen by the flux that they would bring; merges are weighed by their number (see `weight`).
 //!
 //! Limits: merging only where the parent scatters in more than single directions, so light that mirrors and glass focus is
 //! found by camera paths that meet the light, as in `path`; no participating media.
