@@ -3,6 +3,7 @@
 //! Film coordinates are in pixels of the whole film, (0, 0) the upper left corner. A camera looks along its own +z, +y is
 //! up and +x is the left of the picture.
 
+use crate::subpath::Density;
 use glam::{DAffine3, Vec2, Vec3};
 use translume_core::warp;
 use translume_scene::sensor::{Projection, Sensor};
@@ -114,6 +115,15 @@ impl Camera {
             Kind::Parallel => m.z_axis.length() / unit,
         };
         density as f32
+    }
+
+    /// How the ray, one of [`Camera::ray`], leads to the place that it meets first.
+    pub(crate) fn arrival(&self, ray: &Ray) -> Density {
+        let density = self.density(ray.d, 1.0);
+        match self.is_parallel() {
+            true => Density::Parallel(density),
+            false => Density::Angle { from: ray.o, pdf_w: density },
+        }
     }
 
     /// Whether rays start from one place each but all in one direction (the density does not fall with the distance).

@@ -162,11 +162,7 @@ impl<'a> Shot<'a> {
 
     /// The density of what the camera's ray meets.
     pub(crate) fn camera_density(&self, ray: &Ray) -> Density {
-        let density = self.camera.density(ray.d, 1.0);
-        match self.camera.is_parallel() {
-            true => Density::Parallel(density),
-            false => Density::Angle { from: ray.o, pdf_w: density },
-        }
+        self.camera.arrival(ray)
     }
 
     /// Adds what sample `sample` of each pixel of `tile` meets first to the feature images.

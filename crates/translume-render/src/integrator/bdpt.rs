@@ -17,12 +17,13 @@
 //!
 //! Depth, roulette and `hide_emitters` are those of `path`. Limit: no participating media.
 
+use super::direct::MOST_CROSSINGS;
 use super::{Integrator, Settings, Work};
 use crate::light::{End, LightPoint, LightSample};
 use crate::splat::Splat;
-use crate::subpath::{self, Density, Escape, LightPath, Limits, MOST_SEGMENTS, Vertex, Walk, scattering};
+use crate::subpath::{self, Density, Escape, LightPath, Limits, Vertex, Walk, scattering};
 use crate::world::{Shading, World};
-use crate::{Error, Result, Rgb};
+use crate::{Result, Rgb};
 use glam::Vec3;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
@@ -64,9 +65,6 @@ const TOLD: u32 = 32;
 fn part(s: u32, t: u32) -> usize {
     (s.min(TOLD - 1) * TOLD + t.min(TOLD - 1)) as usize
 }
-
-/// Surfaces that a connection may pass straight before it counts as blocked.
-const MOST_CROSSINGS: u32 = 256;
 
 /// A sub-path with what connections want of its vertices.
 struct Chain<'a> {
@@ -432,10 +430,7 @@ impl Integrator for Bdpt {
     }
 
     fn check(&self, world: &World) -> Result<()> {
-        match world.has_media() || self.settings.camera_medium.is_some() {
-            true => Err(Error::Scene("`bdpt` knows no participating media: render this scene with `volpath`".into())),
-            false => Ok(()),
-        }
+        self.settings.without_media("bdpt", world)
     }
 
     fn part(&self, part: usize) -> String {
@@ -443,7 +438,7 @@ impl Integrator for Bdpt {
     }
 
     fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb {
-        let max = self.settings.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS);
+        let max = self.settings.most_segments();
         if max == 0 {
             return Rgb::ZERO;
         }
@@ -455,10 +450,7 @@ impl Integrator for Bdpt {
         let light = Chain::new(world, vertices);
 
         let camera = work.view.camera;
-        let density = match camera.is_parallel() {
-            true => Density::Parallel(camera.density(ray.d, 1.0)),
-            false => Density::Angle { from: ray.o, pdf_w: camera.density(ray.d, 1.0) },
-        };
+        let density = camera.arrival(ray);
         let limits = Limits { segments: max, rr_depth };
         let walk = Walk { world, mode: Mode::Radiance, limits, hide_lights: self.settings.hide_emitters };
         let mut vertices = Vec::with_capacity(16);

@@ -1,6 +1,7 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
 mod bdpt;
+mod direct;
 pub mod gkernel;
 mod path;
 mod photonmap;
@@ -10,6 +11,7 @@ use crate::camera::Camera;
 use crate::film::{Features, Film};
 use crate::render::Shot;
 use crate::splat::Splat;
+use crate::subpath::MOST_SEGMENTS;
 use crate::tally::Tally;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
@@ -34,6 +36,23 @@ pub struct Settings {
     pub hide_emitters: bool,
     /// What the camera stands in.
     pub camera_medium: Option<MediumId>,
+}
+
+impl Settings {
+    /// Longest path of methods that keep its vertices.
+    pub(crate) fn most_segments(&self) -> u32 {
+        self.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS)
+    }
+
+    /// Refuses scenes with media for `method`, which knows none.
+    pub(crate) fn without_media(&self, method: &str, world: &World) -> Result<()> {
+        match world.has_media() || self.camera_medium.is_some() {
+            true => {
+                Err(Error::Scene(format!("`{method}` knows no participating media: render this scene with `volpath`")))
+            }
+            false => Ok(()),
+        }
+    }
 }
 
 /// What a thread works with.

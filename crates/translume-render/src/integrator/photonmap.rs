@@ -17,12 +17,12 @@
 //! The method is biased: it blurs what it estimates, and more samples do not sharpen it; more photons do. Limit: no
 //! participating media.
 
-use super::{Integrator, Options, Settings, Work, power_heuristic, survival};
+use super::direct::{Direct, Origin};
+use super::{Integrator, Options, Settings, Work, survival};
 use crate::photons::{Photon, PhotonMap};
-use crate::subpath::{self, Limits, MOST_SEGMENTS};
+use crate::subpath::{self, Limits};
 use crate::world::{Shading, SurfaceHit, World};
 use crate::{Error, PathSampler, Result, Rgb};
-use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::sync::OnceLock;
@@ -61,13 +61,6 @@ const DIRECT: usize = 1;
 const CAUSTIC: usize = 2;
 const INDIRECT: usize = 3;
 
-/// Where the last direction with a density was drawn, as in `path`.
-struct Origin {
-    p: Vec3,
-    n: Vec3,
-    pdf_w: f32,
-}
-
 impl PhotonMapping {
     /// The options: their names and defaults are in [`super::INTEGRATORS`].
     ///
@@ -90,7 +83,7 @@ impl PhotonMapping {
     }
 
     fn max(&self) -> u32 {
-        self.settings.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS)
+        self.settings.most_segments()
     }
 
     fn trace(&self, world: &World, seed: u64) -> Maps {
@@ -149,53 +142,11 @@ impl PhotonMapping {
             false => sum / (PI * reach * reach),
         }
     }
-
-    /// Emitter sampling; weighed against the BSDF's directions if those are followed too.
-    #[allow(clippy::too_many_arguments, reason = "the vertex, in parts that the caller has")]
-    fn direct(
-        &self,
-        world: &World,
-        hit: &SurfaceHit,
-        shading: &Shading,
-        n: Vec3,
-        segments: u32,
-        weighed: bool,
-        work: &mut Work,
-    ) -> Rgb {
-        let (u_choice, u) = (work.sampler.next_1d(), work.sampler.next_2d());
-        let Some(light) = world.lights().sample(world.scene(), hit.point.p, n, u_choice, u) else { return Rgb::ZERO };
-        let (f_cos, pdf_bsdf) = shading.eval_cos_pdf(hit.wo, light.wi, Mode::Radiance);
-        if f_cos == Rgb::ZERO {
-            return Rgb::ZERO;
-        }
-        work.rays += 1;
-        let crossings = (self.max() - segments - 1).min(256);
-        let visible = world.transmittance(&World::segment(&hit.point, light.wi, &light.end), crossings);
-        let weight = if light.delta || !weighed { 1.0 } else { power_heuristic(light.pdf_w, pdf_bsdf) };
-        visible * light.radiance * f_cos * (weight / light.pdf_w)
-    }
-
-    /// The light that is emitted where the ray arrives (`hit`) or escapes, weighed against emitter sampling at `origin`.
-    fn emitted(&self, world: &World, hit: Option<&SurfaceHit>, d: Vec3, origin: &Origin) -> Rgb {
-        let Some(hit) = hit else {
-            let (value, pdf_w) = world.lights().far_radiance(d);
-            return value * power_heuristic(origin.pdf_w, pdf_w);
-        };
-        let Some((value, light)) = world.emission(hit) else { return Rgb::ZERO };
-        let pdf_w = match origin.pdf_w.is_infinite() {
-            true => 0.0,
-            false => world.lights().pdf_surface(origin.p, origin.n, light, hit.point.p, hit.n()),
-        };
-        value * power_heuristic(origin.pdf_w, pdf_w)
-    }
 }
 
 impl Integrator for PhotonMapping {
     fn check(&self, world: &World) -> Result<()> {
-        match world.has_media() || self.settings.camera_medium.is_some() {
-            true => Err(Error::Scene("`photonmap` knows no participating media: render with `volpath`".into())),
-            false => Ok(()),
-        }
+        self.settings.without_media("photonmap", world)
     }
 
     fn prepare(&self, world: &World, seed: u64) {
@@ -219,7 +170,7 @@ impl Integrator for PhotonMapping {
     fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb {
         let maps = self.maps.get_or_init(|| self.trace(world, 0));
         let (mut radiance, mut throughput, mut eta, mut ray) = (Rgb::ZERO, Rgb::ONE, 1.0, *ray);
-        let mut origin = Origin { p: ray.o, n: Vec3::ZERO, pdf_w: f32::INFINITY };
+        let mut origin = Origin::camera(ray.o);
         // A diffuse surface was left to gather; the last direction with a density was drawn at one; since then there were only
         // mirrors and glass, so that a light behind is in the caustic map there.
         let (mut gathered, mut from_diffuse, mut in_caustics) = (false, false, false);
@@ -228,7 +179,8 @@ impl Integrator for PhotonMapping {
             let hidden = segments == 1 && self.settings.hide_emitters;
             let found = if hidden { world.intersect_behind_lights(&ray) } else { world.intersect(&ray) };
             if !(in_caustics || hidden && found.is_none()) {
-                let value = throughput * self.emitted(world, found.as_ref(), ray.d, &origin);
+                let (value, weight) = origin.emitted(world, found.as_ref(), ray.d);
+                let value = throughput * (value * weight);
                 work.tally.add(EMITTED, value);
                 radiance += value;
             }
@@ -241,7 +193,8 @@ impl Integrator for PhotonMapping {
             let diffuse = shading.flags().contains(Flags::DIFFUSE);
             let last = diffuse && (gathered || !self.gather);
             if shading.flags().has_smooth() && !(diffuse && self.direct_in_map) {
-                let value = throughput * self.direct(world, &hit, &shading, n, segments, !last, work);
+                let direct = Direct { n, crossings: self.max() - segments - 1, weighed: !last };
+                let value = throughput * direct.sample(world, &hit, &shading, work);
                 work.tally.add(DIRECT, value);
                 radiance += value;
             }

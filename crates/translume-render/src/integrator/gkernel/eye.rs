@@ -58,12 +58,11 @@ impl<'a> Eye<'a> {
         buffer.clear();
         let begin = (*ray, Rgb::splat(weight), density);
         let (escape, _) = walk.run(begin, None, sampler, rays, buffer);
-        let mut behind = Vec::with_capacity(buffer.len());
+        let (mut behind, mut depths) = (Vec::with_capacity(buffer.len()), Vec::with_capacity(buffer.len()));
         let mut radiance = Rgb::ZERO;
-        for v in buffer.iter() {
-            behind.push(self.behind(buffer, &behind, v.parent));
-        }
         for (i, v) in buffer.iter().enumerate() {
+            behind.push(self.behind(buffer, &behind, v.parent));
+            depths.push(depths.get(v.parent as usize).map_or(0, |d| d + 1));
             radiance += self.emitted(buffer, v, behind[i]);
             let shading = self.world.shading(&v.hit);
             if !shading.flags().has_smooth() || v.segments >= self.limits.segments {
@@ -76,7 +75,7 @@ impl<'a> Eye<'a> {
                 throughput: v.throughput,
                 path,
                 segments: v.segments,
-                depth: depth(buffer, v),
+                depth: depths[i],
                 pdf: v.pdf,
                 back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
                 before: parent.map_or(1.0, |p| p.pdf),
@@ -134,14 +133,4 @@ fn weight(others: f32) -> f32 {
 /// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
 fn onto(from: Vec3, to: &Vertex, d: Vec3) -> f32 {
     Density::Angle { from, pdf_w: 1.0 }.at(to.hit.point.p, to.hit.n(), d)
-}
-
-fn depth(path: &[Vertex], v: &Vertex) -> u32 {
-    let mut depth = 0;
-    let mut at = v;
-    while let Some(parent) = path.get(at.parent as usize) {
-        depth += 1;
-        at = parent;
-    }
-    depth
 }

@@ -9,6 +9,7 @@
 //! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
 //! [`Linker::share`].
 
+use super::super::direct::MOST_CROSSINGS;
 use super::eye::EyeVertex;
 use super::light::{Bandwidth, LightPaths, LightVertex};
 use super::points::Points;
@@ -43,27 +44,25 @@ pub(crate) struct Candidates {
 const CHUNK: usize = 2048;
 
 impl Candidates {
-    /// All pairs of a camera vertex in a light vertex's footprint, of those that `wanted` says.
-    pub(crate) fn find(lights: &LightPaths, eyes: &[EyeVertex], wanted: impl Fn(&LightVertex) -> bool + Sync) -> Self {
-        let points = eyes.iter().enumerate().map(|(i, e)| (e.hit.point.p, i as u32)).collect();
-        let tree = Points::new(points);
+    /// All pairs of a camera vertex in a light vertex's footprint; `tree` has the camera vertices ([`tree`]).
+    pub(crate) fn find(lights: &LightPaths, tree: &Points, eyes: usize) -> Self {
         let found: Vec<Vec<(u32, u32)>> = lights
             .vertices
             .par_chunks(CHUNK)
             .enumerate()
             .map(|(c, chunk)| {
                 let mut pairs = Vec::new();
-                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.linked() && wanted(v)) {
+                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.linked()) {
                     tree.within(v.hit.point.p, v.radius, |eye| pairs.push((eye, (c * CHUNK + i) as u32)));
                 }
                 pairs
             })
             .collect();
-        let mut begins = vec![0_u32; eyes.len() + 1];
+        let mut begins = vec![0_u32; eyes + 1];
         found.iter().flatten().for_each(|(eye, _)| begins[*eye as usize + 1] += 1);
-        (0..eyes.len()).for_each(|i| begins[i + 1] += begins[i]);
+        (0..eyes).for_each(|i| begins[i + 1] += begins[i]);
         let mut next = begins.clone();
-        let mut sorted = vec![0; begins[eyes.len()] as usize];
+        let mut sorted = vec![0; begins[eyes] as usize];
         for (eye, light) in found.into_iter().flatten() {
             let slot = &mut next[eye as usize];
             sorted[*slot as usize] = light;
@@ -126,6 +125,22 @@ impl Candidates {
     }
 }
 
+/// Camera vertices for [`Candidates::find`].
+pub(crate) fn tree(eyes: &[EyeVertex]) -> Points {
+    Points::new(eyes.iter().enumerate().map(|(i, e)| (e.hit.point.p, i as u32)).collect())
+}
+
+/// How many pairs there are, of light vertices that come straight from lights and of all others.
+pub(crate) fn count(lights: &LightPaths, tree: &Points) -> [usize; 2] {
+    let of = |v: &LightVertex| {
+        let mut n = 0;
+        tree.within(v.hit.point.p, v.radius, |_| n += 1);
+        if v.first() { [n, 0] } else { [0, n] }
+    };
+    let linked = lights.vertices.par_iter().filter(|v| v.linked());
+    linked.map(of).reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
+}
+
 /// What scoring takes.
 pub(crate) struct Linker<'a> {
     pub(crate) world: &'a World,
@@ -164,9 +179,6 @@ struct Arrival {
     onto_parent: f32,
     at_parent: Option<Scattering>,
 }
-
-/// Surfaces that a connection may pass straight before it counts as blocked.
-const MOST_CROSSINGS: u32 = 256;
 
 /// Most rays that [`Linker::share`] takes.
 const TRIALS: u32 = 64;

@@ -26,9 +26,9 @@ mod weight;
 use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
 use crate::render::Shot;
-use crate::subpath::{Limits, MOST_SEGMENTS, Vertex};
+use crate::subpath::{Limits, Vertex};
 use crate::world::World;
-use crate::{Error, Result, Rgb};
+use crate::{Result, Rgb};
 use eye::{Eye, EyeVertex};
 use light::{Bandwidth, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
@@ -110,7 +110,7 @@ impl GKernel {
     }
 
     fn max(&self) -> u32 {
-        self.settings.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS)
+        self.settings.most_segments()
     }
 
     fn bandwidth(&self, world: &World, h: [f32; 2]) -> Bandwidth {
@@ -171,15 +171,13 @@ impl GKernel {
         let per_tile: Vec<usize> = blocks.iter().map(|b| b.eyes.len()).collect();
         let eyes: Vec<EyeVertex> = blocks.iter_mut().flat_map(|b| std::mem::take(&mut b.eyes)).collect();
 
+        let tree = link::tree(&eyes);
         let mut request = self.request(shot, STEP, [FIRST_H; 2], weighing);
         request.probe = false;
         let mut lights = LightPaths::trace(&request);
         for _ in 0..8 {
-            let count = |first| {
-                let pairs = Candidates::find(&lights, &eyes, |v| v.first() == first).len();
-                pairs as f32 / eyes.len().max(1) as f32
-            };
-            let counts = if self.printed { [count(true); 2] } else { [count(true), count(false)] };
+            let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / eyes.len().max(1) as f32);
+            let counts = if self.printed { [first; 2] } else { [first, others] };
             if counts.iter().all(|c| (c / LINKS - 1.0).abs() < 0.1) {
                 break;
             }
@@ -194,7 +192,7 @@ impl GKernel {
             weighing.scale *= lights.typical_area();
         }
 
-        let candidates = Candidates::find(&lights, &eyes, |_| true);
+        let candidates = Candidates::find(&lights, &tree, eyes.len());
         let strength = |light: u32, eye: &EyeVertex| self.strength(&lights.vertices[light as usize], eye);
         let links = candidates.select(&eyes, (shot.seed, STEP), |_| 3.0 * LINKS, strength);
         let linker = self.linker(shot, &lights, request.bandwidth, weighing, STEP);
@@ -283,7 +281,7 @@ impl GKernel {
             }
             rays += part.rays;
         }
-        let candidates = Candidates::find(linker.lights, &eyes, |_| true);
+        let candidates = Candidates::find(linker.lights, &link::tree(&eyes), eyes.len());
         let strength = |light: u32, eye: &EyeVertex| self.strength(&linker.lights.vertices[light as usize], eye);
         let links = candidates.select(&eyes, linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes);
@@ -311,12 +309,7 @@ impl GKernel {
 
 impl Integrator for GKernel {
     fn check(&self, world: &World) -> Result<()> {
-        match world.has_media() || self.settings.camera_medium.is_some() {
-            true => {
-                Err(Error::Scene("`gkernel` knows no participating media: render this scene with `volpath`".into()))
-            }
-            false => Ok(()),
-        }
+        self.settings.without_media("gkernel", world)
     }
 
     /// A step.
