@@ -54,3 +54,25 @@ fn photonmap_counts_its_photons_and_options_are_checked() {
     assert!(render("--option photons=0").error(2).contains("photons=0"));
     assert!(render("--option size=3").error(2).contains("neighbours"));
 }
+
+#[test]
+fn gkernel_shares_samples_out_among_steps_and_resumes_to_the_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("box.xml"), BOX).unwrap();
+    let render = |more: &str| {
+        let line = format!("render box.xml --integrator gkernel {more}");
+        translume(dir.path(), &line.split(' ').collect::<Vec<_>>())
+    };
+    let json: Value = serde_json::from_str(&render("-o whole.exr --steps 2 --spp 6 --json").ok()).unwrap();
+    assert_eq!((&json["counts"]["steps"], &json["samples_per_pixel"]), (&2.into(), &6.into()));
+    let json: Value = serde_json::from_str(&render("-o steps.exr --steps 3 --json").ok()).unwrap();
+    assert_eq!((&json["counts"]["steps"], &json["samples_per_pixel"]), (&3.into(), &3.into()));
+    render("-o half.exr -O eye-paths=3 --spp 3 --checkpoint state.tlck").ok();
+    render("-o resumed.exr -O eye-paths=3 --spp 6 --checkpoint state.tlck --resume --threads 1").ok();
+    let rgb = |name: &str| translume_image::read_picture(&dir.path().join(name)).unwrap().pixels.into_raw();
+    assert_eq!(rgb("whole.exr"), rgb("resumed.exr"));
+    assert_ne!(rgb("whole.exr"), rgb("half.exr"));
+    assert!(render("-o out.exr --steps 4 --spp 6").error(2).contains("multiple"));
+    let path = translume(dir.path(), &["render", "box.xml", "-o", "out.exr", "--integrator", "path", "--steps", "4"]);
+    assert!(path.error(2).contains("gkernel"));
+}

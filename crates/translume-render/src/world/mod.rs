@@ -96,6 +96,13 @@ impl World {
         Some(self.surface_hit(ray, &hit))
     }
 
+    /// Where the ray arrives, without what shading wants, and its parameter there.
+    #[inline]
+    pub(crate) fn arrive(&self, ray: &Ray) -> Option<(SurfacePoint, f32)> {
+        let hit = self.tracer.intersect(ray)?;
+        Some((self.tracer.surface(ray, &hit), hit.t))
+    }
+
     /// What the ray meets first when shapes that shine are not there.
     pub fn intersect_behind_lights(&self, ray: &Ray) -> Option<SurfaceHit> {
         let (mut ray, mut t) = (*ray, 0.0);

@@ -34,6 +34,9 @@ Examples:
   Many lights in many rooms, by the generalized kernel method:
     translume render scene.xml -o out.exr --integrator gkernel --spp 16
 
+  The same with 15 light passes, four camera paths a pixel in each:
+    translume render scene.xml -o out.exr --integrator gkernel --steps 15 --spp 60
+
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck --resume";
@@ -64,6 +67,9 @@ pub(crate) struct Args {
     /// Samples per pixel [default: the scene's, or 64]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     spp: Option<u64>,
+    /// Light passes of gkernel, which share out the samples [default: as many as samples]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
+    steps: Option<u64>,
     /// Width and height in pixels [default: the scene's]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
@@ -145,16 +151,21 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
     let (name, settings) = method(&args, &scene, ctx);
+    let method_options = with_steps(&args, &name)?;
     let integrator =
-        integrator::with_options(&name, settings, &args.options).map_err(|e| Usage(format!("--option: {e}")))?;
+        integrator::with_options(&name, settings, &method_options).map_err(|e| Usage(format!("--option: {e}")))?;
     integrator.check(&world).with_context(|| args.scene.display().to_string())?;
     let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
     let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| args.aov.iter().any(|a| a == n.0)).map(|n| n.1).collect();
     let mut film = shot.film(&aovs)?;
-    let asked = args.spp.or(if args.time.is_some() { None } else { Some(sensor.sample_count.unwrap_or(64).into()) });
+    let asked = args.spp.or(args.steps).or(if args.time.is_some() {
+        None
+    } else {
+        Some(sensor.sample_count.unwrap_or(64).into())
+    });
     let until = Until { samples: asked.unwrap_or(u64::MAX), time: args.time };
     let identity = Identity {
-        fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {:?}", args.options)),
+        fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {method_options:?}")),
         seed: args.seed,
     };
     if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
@@ -164,6 +175,21 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let reporter = Reporter { args: &args, ctx, identity };
     let progress = reporter.watch(&shot, &mut film, &until)?;
     reporter.finish(&film, &name, &progress, loaded, told(&*integrator, &shot, &progress))
+}
+
+/// The options of the method, the camera paths that `--steps` leaves to each light pass among them.
+fn with_steps(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
+    let mut options = args.options.clone();
+    let Some(steps) = args.steps else { return Ok(options) };
+    if name != "gkernel" {
+        return Err(Usage(format!("--steps are the light passes of gkernel; {name} has none")));
+    }
+    let samples = args.spp.unwrap_or(steps);
+    if !samples.is_multiple_of(steps) {
+        return Err(Usage(format!("--spp {samples} does not share out among --steps {steps}: make it a multiple")));
+    }
+    options.push(("eye-paths".into(), (samples / steps).to_string()));
+    Ok(options)
 }
 
 /// What the method tells of its parts in this run: per part how often it was tried and contributed, and its share of the

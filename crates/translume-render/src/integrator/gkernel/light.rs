@@ -238,8 +238,8 @@ impl LightPaths {
             let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
             let ray = self.ray_beside(world, v, v.hit.point.p + away);
             self.rays += 1;
-            let Some(hit) = world.intersect(&ray) else { return false };
-            let off = hit.point.p - v.hit.point.p;
+            let Some((point, _)) = world.arrive(&ray) else { return false };
+            let off = point.p - v.hit.point.p;
             off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
         })
     }

@@ -314,10 +314,10 @@ impl<'a> Linker<'a> {
             let u = sampler.next_2d();
             let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (MARGIN * v.radius)).extend(0.0));
             let ray = self.lights.ray_beside(self.world, v, center + beside);
-            let Some(hit) = self.world.intersect(&ray) else { continue };
-            let pdf = arrival.pdf_across * hit.n().dot(ray.d).abs();
-            let radius = self.bandwidth.radius(pdf, if far { f32::INFINITY } else { hit.t }, before);
-            if hit.point.p.distance_squared(center) <= radius * radius {
+            let Some((point, t)) = self.world.arrive(&ray) else { continue };
+            let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
+            let radius = self.bandwidth.radius(pdf, if far { f32::INFINITY } else { t }, before);
+            if point.p.distance_squared(center) <= radius * radius {
                 return (tried as f32 / (MARGIN * MARGIN), u64::from(tried));
             }
         }

@@ -5,14 +5,14 @@
 //! MPI-I-2003-4-004. One pass of the driver is one step (§5): light paths are traced once, then the picture's tiles block by
 //! block: camera paths (`eye`), pairs of a camera vertex in a light vertex's footprint (`link`, `points`), trial
 //! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
-//! camera paths.
+//! camera paths, one a step or more.
 //!
 //! Nothing needs to be set: h is found by the number of footprints of direct light per camera vertex (M = 10), the number
 //! of trial links by the share that a pilot found unoccluded, per tile for the first vertex and per depth beyond.
 //!
 //! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
-//! chosen by the flux that they would bring; merges are weighed by their number (see `weight`).
+//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; merges are weighed by their number (see `weight`).
 //!
 //! Limits: merging only where the parent scatters in more than single directions, so light that mirrors and glass focus is
 //! found by camera paths that meet the light, as in `path`; no participating media.
@@ -42,6 +42,10 @@ pub struct GKernel {
     settings: Settings,
     /// Light paths of a step; 0: half as many as pixels, at least [`FEWEST_PATHS`].
     light_paths: u32,
+    /// Camera paths of a pixel in each step.
+    eye_paths: u64,
+    /// Links of camera vertices beyond the first, as a share of [`LINKS`].
+    deeper_links: f32,
     /// The paper's method as it is printed.
     printed: bool,
     calibration: OnceLock<Calibration>,
@@ -105,8 +109,18 @@ impl GKernel {
     /// [`Error::Mismatch`] for options that are none.
     pub fn new(settings: Settings, options: &Options) -> Result<Self> {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
+        let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
         let printed = options.switch("printed")?;
-        Ok(Self { settings, light_paths, printed, calibration: OnceLock::new(), counts: Counts::default() })
+        let deeper_links = if printed { 100 } else { options.number("deeper-links", 1..=100)? } as f32 / 100.0;
+        Ok(Self {
+            settings,
+            light_paths,
+            eye_paths,
+            deeper_links,
+            printed,
+            calibration: OnceLock::new(),
+            counts: Counts::default(),
+        })
     }
 
     fn max(&self) -> u32 {
@@ -272,11 +286,11 @@ impl GKernel {
             let base = radiance.len() as u32;
             radiance.append(&mut part.radiance);
             for eye in part.eyes.drain(..) {
-                let seen = match eye.depth {
-                    0 => calibration.first[first_tile + t],
-                    depth => calibration.deeper[(depth as usize).min(DEPTHS - 1)],
+                let trials = match eye.depth {
+                    0 => LINKS / calibration.first[first_tile + t],
+                    depth => self.deeper_links * LINKS / calibration.deeper[(depth as usize).min(DEPTHS - 1)],
                 };
-                wanted.push((LINKS / seen).min(MOST_TRIALS));
+                wanted.push(trials.min(MOST_TRIALS));
                 eyes.push(EyeVertex { path: eye.path + base, ..eye });
             }
             rays += part.rays;
@@ -312,27 +326,32 @@ impl Integrator for GKernel {
         self.settings.without_media("gkernel", world)
     }
 
-    /// A step.
+    /// A step, or the rest of one.
     fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &dyn Fn() -> bool) -> Option<u64> {
         let calibration = self.calibration.get_or_init(|| self.calibrate(shot, film));
-        let sample = film.samples().0;
-        let h = self.bandwidth_of(calibration, sample);
+        let first = film.samples().0;
+        let step = first / self.eye_paths;
+        let h = self.bandwidth_of(calibration, step);
         let weighing = calibration.weighing;
-        let request = self.request(shot, sample, h, weighing);
+        let request = self.request(shot, step, h, weighing);
         let lights = LightPaths::trace(&request);
         let mut rays = lights.rays;
-        let linker = self.linker(shot, &lights, request.bandwidth, weighing, sample);
         let aovs = film.aovs().to_vec();
         let whole = film.tiles.len();
         let tiles_at_once = (BLOCK / (crate::film::TILE * crate::film::TILE) as usize).max(1);
-        for first in (0..whole).step_by(tiles_at_once) {
-            if stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
-                break;
-            }
-            let tiles = &mut film.tiles[first..(first + tiles_at_once).min(whole)];
-            // After an interruption some blocks are a step ahead.
-            if tiles.iter().all(|t| t.samples == sample) {
-                rays += self.block(shot, tiles, &aovs, (first, sample), &linker, calibration);
+        let end = (step + 1) * self.eye_paths;
+        'step: for sample in first..end {
+            // Links are drawn anew for every camera path, as if it had a step of its own.
+            let linker = self.linker(shot, &lights, request.bandwidth, weighing, sample);
+            for first_tile in (0..whole).step_by(tiles_at_once) {
+                if stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
+                    break 'step;
+                }
+                let tiles = &mut film.tiles[first_tile..(first_tile + tiles_at_once).min(whole)];
+                // After an interruption some blocks are a sample ahead.
+                if tiles.iter().all(|t| t.samples == sample) {
+                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), &linker, calibration);
+                }
             }
         }
         self.counts.steps.fetch_add(1, Ordering::Relaxed);
