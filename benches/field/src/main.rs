@@ -93,23 +93,37 @@ fn speed(dir: &Path) -> anyhow::Result<()> {
     let (field, ..) = make(dir, &Params { rate: Rate::Terms(16), ..Params::default() })?;
     let relighter = Relighter::new(&field)?;
     let mixes: Vec<_> = simulate::lights(32).into_iter().filter(|l| l[2] > 0.0).map(|l| relighter.mix(l)).collect();
-    let mut out = vec![0u8; 3 * field.width * field.height];
+    let mut out = vec![[0u8; 4]; field.width * field.height];
     let first = mixes.first().context("no lights")?;
     relighter.display(first, 1.0, &mut out);
-    let (start, mut frames) = (Instant::now(), 0);
+    let (start, before, mut frames) = (Instant::now(), cpu_secs(), 0);
     while start.elapsed().as_secs_f64() < 4.0 {
         relighter.display(&mixes[frames % mixes.len()], 1.0, &mut out);
         frames += 1;
     }
     let secs = start.elapsed().as_secs_f64();
+    let cpu = match (before, cpu_secs()) {
+        (Some(a), Some(b)) => format!(", {:.2} ms of processor time a frame", 1000.0 * (b - a) / frames as f64),
+        _ => String::new(),
+    };
     println!(
-        "{} × {}, 16 layers, {} threads: {:.1} frames/s",
+        "Relighting {} × {} with {} layers ({} planes), exp and tone map to 8 bits, {} threads: {:.1} frames/s{cpu}",
         field.width,
         field.height,
+        field.layers.len(),
+        field.planes(),
         rayon::current_num_threads(),
         frames as f64 / secs
     );
     Ok(())
+}
+
+/// Processor time of this process so far, where the system tells it: what other work on the machine does not change.
+fn cpu_secs() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let ticks: f64 = fields.next()?.parse::<f64>().ok()? + fields.next()?.parse::<f64>().ok()?;
+    Some(ticks / 100.0)
 }
 
 /// Lanczos beside the randomised range finder: seconds, and the share of the energy of log light that 16 terms leave.

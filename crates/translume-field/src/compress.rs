@@ -1,7 +1,8 @@
 //! From a stack to a field: the phases of [Menzel 2012, ch. 4], for the default model and its baselines.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::file;
 use crate::layers;
 use crate::matrix::Matrix;

