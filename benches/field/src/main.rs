@@ -4,7 +4,9 @@
 use anyhow::{Context as _, bail};
 use std::path::Path;
 use std::time::Instant;
-use translume_field::{Domain, Field, Model, Params, Rate, Relighter, Stack, compress, measure, texture::Codec};
+use translume_field::{
+    Domain, Field, Model, Params, Rate, Relighter, Stack, compress, measure, texture::Codec, tiles::Tiling,
+};
 use translume_field::{matrix::Matrix, pca, simulate};
 
 /// A row of the table: its name, and how it is made.
@@ -25,6 +27,9 @@ fn rows() -> Vec<(&'static str, Params)> {
         ("log PCA, BC7, half the terms, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 8, Codec::Bc7) }),
         ("layers, open loop", Params { closed_loop: false, ..layers(16) }),
         ("layers (default)", layers(16)),
+        ("layers, the same everywhere", Params { tiling: Tiling::Whole, ..layers(16) }),
+        ("layers, background masked", Params { tiling: Tiling::Mask, ..layers(16) }),
+        ("layers, number by tile", Params { tiling: Tiling::Adaptive, ..layers(16) }),
         ("layers, δ 0.001", Params { domain: log(1e-3), ..layers(16) }),
         ("layers, δ 0.1", Params { domain: log(1e-1), ..layers(16) }),
         ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
@@ -51,9 +56,12 @@ fn main() -> anyhow::Result<()> {
         }
         ["table", dir, ref names @ ..] => table(Path::new(dir), names),
         ["speed", dir] => speed(Path::new(dir)),
+        ["cost", dir] => cost(Path::new(dir)),
         ["held-out", dir] => held_out(Path::new(dir)),
         ["pca", dir] => decompose(Path::new(dir)),
-        _ => bail!("bench-field generate DIR SIZE LIGHTS | table DIR [NAME …] | held-out DIR | speed DIR | pca DIR"),
+        _ => bail!(
+            "bench-field generate DIR SIZE LIGHTS | table DIR [NAME …] | held-out DIR | speed DIR | cost DIR | pca DIR"
+        ),
     }
 }
 
@@ -116,6 +124,27 @@ fn speed(dir: &Path) -> anyhow::Result<()> {
         frames as f64 / secs
     );
     Ok(())
+}
+
+/// What compressing takes, files included: seconds, processor time, the most memory held.
+fn cost(dir: &Path) -> anyhow::Result<()> {
+    let (field, stack, secs) = make(dir, &Params::default())?;
+    let file = dir.join("field.glb");
+    translume_field::file::write(&file, &field, "bench-field cost")?;
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).map_or("unknown", str::trim);
+    println!(
+        "Compressing {} pictures of {} × {} ({:.0} MB of half floats) to {:.2} MB ({:.2} bytes a texel): {secs:.1} s, \
+         {:.1} s of processor time, at most {peak} of memory",
+        stack.shots.len(),
+        field.width,
+        field.height,
+        (6 * stack.pixels() * stack.shots.len()) as f64 / 1e6,
+        std::fs::metadata(&file)?.len() as f64 / 1e6,
+        field.texture_bytes() as f64 / stack.pixels() as f64,
+        cpu_secs().unwrap_or_default()
+    );
+    Ok(std::fs::remove_file(&file)?)
 }
 
 /// Processor time of this process so far, where the system tells it: what other work on the machine does not change.

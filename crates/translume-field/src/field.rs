@@ -8,6 +8,7 @@ use crate::Domain;
 use crate::basis::Basis;
 use crate::sphere::Kernel;
 use crate::texture::Texture;
+use crate::tiles::Tiles;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -61,8 +62,11 @@ pub struct Field {
     pub domain: Domain,
     /// Light that a value of 1 on a linear scale stands for.
     pub white: f32,
-    /// The textures.
+    /// The textures, all of the picture's size.
     pub layers: Vec<Texture>,
+    /// Which parts of the picture have how many of the layers; blocks that a tile has not are 0 and do not count. `None`: all
+    /// have all.
+    pub tiles: Option<Tiles>,
     /// Weights by direction.
     pub angular: Angular,
 }
@@ -87,9 +91,12 @@ impl Field {
         self.layers.iter().map(|l| l.codec.channels()).sum()
     }
 
-    /// Bytes of the textures.
+    /// Bytes of the textures, as far as they count.
     pub fn texture_bytes(&self) -> usize {
-        self.layers.iter().map(|l| l.data.len()).sum()
+        match &self.tiles {
+            Some(tiles) => tiles.bytes(&self.layers.iter().map(|l| l.codec).collect::<Vec<_>>()),
+            None => self.layers.iter().map(|l| l.data.len()).sum(),
+        }
     }
 
     /// The unit directions of the stack's lights, where the field knows them.

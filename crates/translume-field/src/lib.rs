@@ -29,6 +29,7 @@ pub mod simulate;
 pub mod sphere;
 mod stack;
 pub mod texture;
+pub mod tiles;
 
 pub use compress::{MOST_TERMS, Params, Rate, compress};
 pub use domain::Domain;

@@ -6,6 +6,7 @@
 //! values of the other modes (0 and 255 in BC4, black in BC1) lie on no line: such fields are lit from decoded planes.
 
 use crate::texture::{Codec, Texture};
+use crate::tiles::{self, Tiles};
 
 /// Blocks of a group, one beside the other.
 pub(crate) const GROUP: usize = 8;
@@ -80,10 +81,12 @@ struct Packed {
 
 /// All layers of a field, group by group as they are read.
 pub(crate) struct Lines {
-    layers: usize,
     /// Groups side by side.
     across: usize,
-    groups: Vec<Packed>,
+    /// Layers of each group, one group after the other.
+    blocks: Vec<Packed>,
+    /// Where each group begins in `blocks`, and the end of the last.
+    starts: Vec<u32>,
 }
 
 /// What a layer's channels are multiplied with: by its channel, then by that of the picture, for values in steps of 1/255; and
@@ -98,33 +101,42 @@ pub(crate) struct Factors {
 
 impl std::fmt::Debug for Lines {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Lines({} layers, {} groups)", self.layers, self.groups.len() / self.layers.max(1))
+        write!(f, "Lines({} layers of {} groups)", self.blocks.len(), self.starts.len() - 1)
     }
 }
 
 impl Lines {
-    /// `None` where a block of a layer lies on no line, or a texture is of another size.
-    pub(crate) fn new(layers: &[Texture], width: usize, height: usize) -> Option<Self> {
-        let (blocks, rows) = (width.div_ceil(4), height.div_ceil(4));
-        let across = blocks.div_ceil(GROUP);
-        let empty = Packed { start: [[0; GROUP]; 3], step: [[0; GROUP]; 3], codes: [[0; 16]; GROUP] };
-        if layers.iter().any(|l| !matches!(l.codec, Codec::Bc1 | Codec::Bc4) || l.data.len() != 8 * blocks * rows) {
+    /// `None` where a block of a layer lies on no line, or textures and tiles are of another size.
+    pub(crate) fn new(layers: &[Texture], tiles: Option<&Tiles>, width: usize, height: usize) -> Option<Self> {
+        let (columns, rows) = (width.div_ceil(4), height.div_ceil(4));
+        let across = columns.div_ceil(GROUP);
+        // A group is as wide as a tile.
+        const { assert!(4 * GROUP == tiles::SIDE) };
+        let grid = Tiles::grid(width, height);
+        let fits = |l: &Texture| matches!(l.codec, Codec::Bc1 | Codec::Bc4) && l.data.len() == 8 * columns * rows;
+        let tiled = |t: &Tiles| t.across == grid.0 && t.counts.len() == grid.0 * grid.1 && t.most() <= layers.len();
+        if !layers.iter().all(fits) || !tiles.is_none_or(tiled) {
             return None;
         }
-        let mut groups = vec![empty; layers.len() * across * rows];
-        for (j, layer) in layers.iter().enumerate() {
-            for (i, block) in layer.data.chunks(8).enumerate() {
-                let line = line(layer.codec, block)?;
-                let (x, y) = (i % blocks, i / blocks);
-                let packed = &mut groups[(y * across + x / GROUP) * layers.len() + j];
-                for c in 0..3 {
-                    packed.start[c][x % GROUP] = line.start[c];
-                    packed.step[c][x % GROUP] = line.step[c];
+        let (mut starts, mut blocks) = (vec![0], Vec::new());
+        for (x, y) in (0..across * rows).map(|i| (i % across, i / across)) {
+            let count = tiles.map_or(layers.len(), |t| t.layers_at(x * GROUP, y));
+            for layer in &layers[..count] {
+                let mut packed = Packed { start: [[0; GROUP]; 3], step: [[0; GROUP]; 3], codes: [[0; 16]; GROUP] };
+                for i in 0..GROUP.min(columns - x * GROUP) {
+                    let at = 8 * (y * columns + x * GROUP + i);
+                    let line = line(layer.codec, &layer.data[at..at + 8])?;
+                    for c in 0..3 {
+                        packed.start[c][i] = line.start[c];
+                        packed.step[c][i] = line.step[c];
+                    }
+                    packed.codes[i] = line.codes;
                 }
-                packed.codes[x % GROUP] = line.codes;
+                blocks.push(packed);
             }
+            starts.push(u32::try_from(blocks.len()).ok()?);
         }
-        Some(Self { layers: layers.len(), across, groups })
+        Some(Self { across, blocks, starts })
     }
 
     /// Groups side by side in a row of blocks.
@@ -133,22 +145,22 @@ impl Lines {
     }
 
     fn group(&self, (x, y): (usize, usize)) -> &[Packed] {
-        let at = (y * self.across + x) * self.layers;
-        &self.groups[at..at + self.layers]
+        let at = y * self.across + x;
+        &self.blocks[self.starts[at] as usize..self.starts[at + 1] as usize]
     }
 
-    /// The sums over all layers for group `x` of the row of blocks `y`: by channel, then row, then column of the group. `steps`
-    /// has room for a layer each.
+    /// The sums over all layers for group `x` of the row of blocks `y`: by channel, then row, then column of the group. `constants` are by
+    /// number of layers; `steps` has room for a layer each.
     pub(crate) fn sums(
         &self,
         at: (usize, usize),
-        constant: [f32; 3],
+        constants: &[[f32; 3]],
         factors: &[Factors],
         steps: &mut Steps,
         out: &mut Tile,
     ) {
         let layers = self.group(at);
-        let mut starts = constant.map(|c| [c; GROUP]);
+        let mut starts = constants[layers.len()].map(|c| [c; GROUP]);
         for ((layer, f), steps) in layers.iter().zip(factors).zip(steps.iter_mut()) {
             *steps = [[0.0; GROUP]; 3];
             for (k, c) in (0..f.channels).flat_map(|k| [(k, 0), (k, 1), (k, 2)]) {
@@ -177,14 +189,14 @@ impl Lines {
     pub(crate) fn sums_avx2(
         &self,
         at: (usize, usize),
-        constant: [f32; 3],
+        constants: &[[f32; 3]],
         factors: &[Factors],
         steps: &mut Steps,
         out: &mut Tile,
     ) {
         use std::arch::x86_64::*;
         let layers = self.group(at);
-        let mut starts = constant.map(|c| _mm256_set1_ps(c));
+        let mut starts = constants[layers.len()].map(|c| _mm256_set1_ps(c));
         for ((layer, f), steps) in layers.iter().zip(factors).zip(steps.iter_mut()) {
             let mut sums = [_mm256_setzero_ps(); 3];
             for k in 0..f.channels {

@@ -84,8 +84,11 @@ impl<'a> Relighter<'a> {
                 None
             }
         };
-        let store = match Lines::new(&field.layers, field.width, field.height) {
+        let store = match Lines::new(&field.layers, field.tiles.as_ref(), field.width, field.height) {
             Some(lines) => Store::Lines(lines),
+            None if field.tiles.is_some() => {
+                return Err(Error::Parameter("tiles of other codecs than BC1 and BC4, or of another size".into()));
+            }
             None => {
                 let planes: Result<Vec<_>> = field.layers.iter().map(|l| l.decode(field.width, field.height)).collect();
                 Store::Planes(planes?.into_iter().flatten().collect())
@@ -127,10 +130,10 @@ impl<'a> Relighter<'a> {
         let width = self.field.width;
         match &self.store {
             Store::Lines(lines) => {
-                let (constant, factors) = self.factors(mix);
+                let (constants, factors) = self.factors(mix);
                 out.par_chunks_mut(width * BAND).enumerate().for_each(|(band, out)| {
                     for (y, out) in out.chunks_mut(4 * width).enumerate() {
-                        self.row_of_blocks(lines, band * BAND / 4 + y, (constant, &factors), out, put);
+                        self.row_of_blocks(lines, band * BAND / 4 + y, (&constants, &factors), out, put);
                     }
                 });
             }
@@ -146,9 +149,10 @@ impl<'a> Relighter<'a> {
         }
     }
 
-    /// What the codes of each layer count, and what is the same everywhere.
-    fn factors(&self, mix: &Mix) -> ([f32; 3], Vec<Factors>) {
+    /// What the codes of each layer count; and what is the same for all texels with no, one, two, … layers.
+    fn factors(&self, mix: &Mix) -> (Vec<Rgb>, Vec<Factors>) {
         let (mut constant, colour) = (mix.constant, self.field.in_colour());
+        let mut constants = vec![constant];
         let mut weights = mix.layers.iter();
         let mut factors = Vec::with_capacity(self.field.layers.len());
         for layer in &self.field.layers {
@@ -164,12 +168,20 @@ impl<'a> Relighter<'a> {
                 }
             }
             factors.push(f);
+            constants.push(constant);
         }
-        (constant, factors)
+        (constants, factors)
     }
 
     /// Four rows of texels, with the widest vectors that the processor has.
-    fn row_of_blocks<T>(&self, lines: &Lines, y: usize, factors: (Rgb, &[Factors]), out: &mut [T], put: &impl Put<T>) {
+    fn row_of_blocks<T>(
+        &self,
+        lines: &Lines,
+        y: usize,
+        factors: (&[Rgb], &[Factors]),
+        out: &mut [T],
+        put: &impl Put<T>,
+    ) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
             #[allow(unsafe_code, reason = "several times as quick: bench-field speed")]
@@ -179,15 +191,15 @@ impl<'a> Relighter<'a> {
             }
             return;
         }
-        let (constant, factors) = factors;
-        self.row(lines.across(), out, put, |x, steps, tile| lines.sums((x, y), constant, factors, steps, tile));
+        let (constants, factors) = factors;
+        self.row(lines.across(), out, put, |x, steps, tile| lines.sums((x, y), constants, factors, steps, tile));
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn row_avx2<T>(&self, lines: &Lines, y: usize, factors: (Rgb, &[Factors]), out: &mut [T], put: &impl Put<T>) {
-        let (constant, factors) = factors;
-        self.row(lines.across(), out, put, |x, steps, tile| lines.sums_avx2((x, y), constant, factors, steps, tile));
+    fn row_avx2<T>(&self, lines: &Lines, y: usize, factors: (&[Rgb], &[Factors]), out: &mut [T], put: &impl Put<T>) {
+        let (constants, factors) = factors;
+        self.row(lines.across(), out, put, |x, steps, tile| lines.sums_avx2((x, y), constants, factors, steps, tile));
     }
 
     /// Calls `sums` for each group, turns what it gives into light, and puts it where it belongs.
@@ -307,11 +319,11 @@ mod tests {
                 relighter.store = Store::Planes(planes);
                 let slow = relighter.picture(&mix);
                 // Without the vectors of this processor.
-                let (constant, factors) = relighter.factors(&mix);
-                let lines = Lines::new(&field.layers, w, h).unwrap();
+                let (constants, factors) = relighter.factors(&mix);
+                let lines = Lines::new(&field.layers, None, w, h).unwrap();
                 let mut plain = vec![[0.0; 3]; w * h];
                 for (y, out) in plain.chunks_mut(4 * w).enumerate() {
-                    let sums = |x, steps: &mut _, tile: &mut _| lines.sums((x, y), constant, &factors, steps, tile);
+                    let sums = |x, steps: &mut _, tile: &mut _| lines.sums((x, y), &constants, &factors, steps, tile);
                     relighter.row(lines.across(), out, &Add([field.white; 3]), sums);
                 }
                 assert!(plain.as_flattened().iter().zip(&quick).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b)));
@@ -337,6 +349,7 @@ mod tests {
             domain: Domain::Linear,
             white: 2.0,
             layers: vec![layer([0, 255], 1.0, 3.0), layer([255, 0], 0.0, 1.0)],
+            tiles: None,
             angular: Angular::Lights {
                 colour: true,
                 lights: vec![[0.0, 0.0, 1.0], [b, 0.0, a], [0.0, -b, a]],

@@ -87,6 +87,7 @@ pub fn import(folder: &Path) -> Result<Field> {
         domain: Domain::Display,
         white: 1.0,
         layers,
+        tiles: None,
         angular: Angular::Basis(basis),
     })
 }
@@ -233,6 +234,7 @@ mod tests {
             domain: Domain::Display,
             white: 1.0,
             layers: (0..6).map(layer).collect(),
+            tiles: None,
             angular: Angular::Basis(Basis::Ptm),
         }
     }

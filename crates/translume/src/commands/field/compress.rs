@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use translume_field::{Domain, Model, Params, Rate, compress, file, texture::Codec};
+use translume_field::{Domain, Model, Params, Rate, compress, file, texture::Codec, tiles::Tiling};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -59,6 +59,9 @@ pub(crate) struct Args {
     /// Offset δ of the logarithm as a share of white [default: 0.01; log-pca: 0.001]
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     delta: Option<f32>,
+    /// How many layers each tile of 32 × 32 texels gets, for the same bytes in all
+    #[arg(long, value_enum, default_value = "auto")]
+    tiles: TilesName,
     /// Storage of the layers [default: bc4 or bc1, what serves best; PCA: bc1; PTM and HSH: rgb8]
     #[arg(long, value_enum)]
     codec: Option<CodecName>,
@@ -82,6 +85,18 @@ enum ModelName {
     Ptm,
     /// Hemispherical harmonics: 9 terms
     Hsh,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum TilesName {
+    /// As many as serve best, where that pays
+    Auto,
+    /// All the same
+    Whole,
+    /// None where all pictures are black, elsewhere the same
+    Mask,
+    /// As many as serve best
+    Adaptive,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -133,6 +148,9 @@ impl Args {
         if self.psnr.is_some_and(|p| !(0.0..=200.0).contains(&p)) {
             return Err(Usage("--psnr takes decibels between 0 and 200".into()).into());
         }
+        if self.tiles != TilesName::Auto && model != Model::Layers {
+            return Err(Usage("--tiles: only the model `layers` has tiles".into()).into());
+        }
         Ok(Params {
             model,
             rate: match (self.terms, self.bytes, self.psnr) {
@@ -150,6 +168,12 @@ impl Args {
                 CodecName::Bc7 => Codec::Bc7,
             }),
             gaussian: self.interpolation.map(|b| matches!(b, Between::Gaussian)),
+            tiling: match self.tiles {
+                TilesName::Auto => Tiling::Auto,
+                TilesName::Whole => Tiling::Whole,
+                TilesName::Mask => Tiling::Mask,
+                TilesName::Adaptive => Tiling::Adaptive,
+            },
             memory: self.memory.saturating_mul(1 << 20),
             ..Params::default()
         })

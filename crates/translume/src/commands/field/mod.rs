@@ -109,6 +109,14 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
         }
     };
     lines.push(format!("  lights      {between}"));
+    if let Some(t) = &field.tiles {
+        let mean = t.slots() as f64 / t.counts.len().max(1) as f64;
+        lines.push(format!(
+            "  tiles       {} of 32 × 32 with up to {} layers, {mean:.1} on average",
+            t.counts.len(),
+            t.most()
+        ));
+    }
     ctx.text(lines.join("\n"))?;
     ctx.emit_json(object)
 }
@@ -126,6 +134,12 @@ fn describe(field: &Field, bytes: u64) -> Value {
         "height": field.height,
         "terms": field.layers.len(),
         "planes": field.planes(),
+        "layers_by_tile": field.tiles.as_ref().map(|t| json!({
+            "fewest": t.counts.iter().min(),
+            "most": t.most(),
+            "mean": t.slots() as f64 / t.counts.len().max(1) as f64,
+            "without": t.counts.iter().filter(|c| **c == 0).count(),
+        })),
         "codecs": field.layers.iter().map(|l| l.codec).collect::<Vec<_>>(),
         "scale": field.domain,
         "white": field.white,
