@@ -17,31 +17,21 @@ fn rows() -> Vec<(&'static str, Params)> {
     let fixed = |model, codec| Params { model, codec: Some(codec), ..Params::default() };
     vec![
         ("thesis: log PCA, BC1, δ 0.001", pca(Model::LogPca, 16, Codec::Bc1)),
-        ("log PCA, BC1, δ 0.0001", Params { domain: log(1e-4), ..pca(Model::LogPca, 16, Codec::Bc1) }),
         ("log PCA, BC1, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 16, Codec::Bc1) }),
-        (
-            "log PCA, BC1, δ 0.01, randomised",
-            Params { domain: log(1e-2), randomised: true, ..pca(Model::LogPca, 16, Codec::Bc1) },
-        ),
         ("linear PCA, BC1", pca(Model::LinearPca, 16, Codec::Bc1)),
         ("log PCA, BC7, half the terms, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 8, Codec::Bc7) }),
         ("layers, open loop", Params { closed_loop: false, ..layers(16) }),
         ("layers (default)", layers(16)),
         ("layers, the same everywhere", Params { tiling: Tiling::Whole, ..layers(16) }),
         ("layers, background masked", Params { tiling: Tiling::Mask, ..layers(16) }),
-        ("layers, number by tile", Params { tiling: Tiling::Adaptive, ..layers(16) }),
         ("layers, δ 0.001", Params { domain: log(1e-3), ..layers(16) }),
-        ("layers, δ 0.1", Params { domain: log(1e-1), ..layers(16) }),
         ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
         ("layers, PU21", Params { domain: Some(Domain::Pu21), ..layers(16) }),
-        ("layers, half the bytes", layers(8)),
         ("layers, BC4 only", Params { codec: Some(Codec::Bc4), ..layers(16) }),
         ("layers, BC1 only", Params { codec: Some(Codec::Bc1), ..layers(16) }),
         ("layers, BC7, half the layers", Params { codec: Some(Codec::Bc7), ..layers(8) }),
         ("layers, R8, half the layers", Params { codec: Some(Codec::R8), ..layers(8) }),
-        ("PTM, BC7", fixed(Model::Ptm, Codec::Bc7)),
         ("PTM, RGB8", fixed(Model::Ptm, Codec::Rgb8)),
-        ("HSH, BC7", fixed(Model::Hsh, Codec::Bc7)),
         ("HSH, RGB8", fixed(Model::Hsh, Codec::Rgb8)),
     ]
 }

@@ -34,8 +34,8 @@ pub struct Stack {
     pub width: usize,
     /// Height of every picture.
     pub height: usize,
-    /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit at
-    /// 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
+    /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit
+    /// (highlights cut) at 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
     pub white: f32,
     /// Integers are light as they stand.
     pub linear: bool,
@@ -190,29 +190,32 @@ impl Stack {
         Ok(())
     }
 
-    /// Mean luminance of lit pixels, over up to 16 pictures, divided by 0.18.
+    /// Mean luminance of lit pixels, over up to 16 pictures, divided by 0.18. What is brighter than all but a hundredth of them
+    /// counts as that, so that a lamp seen in a mirror does not make the rest dark.
     fn adaptive_white(&self) -> Result<f32> {
         let n = self.shots.len();
         let count = n.min(16);
         let picked: Vec<usize> = (0..count).map(|i| i * n / count).collect();
         let y = Space::REC709.luminance_weights().map(|w| w as f32);
-        let parts: Result<Vec<(f64, usize)>> = picked
+        let parts: Result<Vec<Vec<f32>>> = picked
             .into_par_iter()
             .with_max_len(1)
             .map(|i| {
+                // Some 16,000 pixels of each say enough.
                 let rgb = self.read(i)?;
-                let luminance = |p: &[f32; 3]| y[0] * p[0] + y[1] * p[1] + y[2] * p[2];
-                let pixels = rgb.as_chunks::<3>().0;
-                let floor = 1e-3 * pixels.iter().map(luminance).fold(0.0, f32::max);
-                let lit = pixels.iter().map(luminance).filter(|l| *l > floor);
-                Ok(lit.fold((0.0, 0), |(s, n), l| (s + f64::from(l), n + 1)))
+                let pixels = rgb.as_chunks::<3>().0.iter().step_by((self.pixels() >> 14).max(1));
+                Ok(pixels.map(|p| y[0] * p[0] + y[1] * p[1] + y[2] * p[2]).filter(|l| *l > 0.0).collect())
             })
             .collect();
-        let (sum, lit) = parts?.into_iter().fold((0.0, 0), |(s, n), (s1, n1)| (s + s1, n + n1));
-        if lit == 0 {
+        let mut lit = parts?.concat();
+        if lit.is_empty() {
             return Err(Error::invalid(&self.folder, "the pictures are black: nothing to compress"));
         }
-        Ok((sum / lit as f64 / 0.18) as f32)
+        lit.sort_by(f32::total_cmp);
+        let most = lit[(lit.len() * 99 / 100).min(lit.len() - 1)];
+        let bright = lit.iter().filter(|l| **l > 1e-3 * most);
+        let (sum, count) = bright.fold((0.0, 0), |(s, n), l| (s + f64::from(l.min(most)), n + 1));
+        Ok((sum / f64::from(count.max(1)) / 0.18) as f32)
     }
 }
 
@@ -223,4 +226,32 @@ fn is_float(path: &Path) -> Result<bool> {
         Format::Tiff => read_codes(path)?.is_linear(),
         _ => false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use translume_image::{ExrOptions, Picture, Rgb32FImage, write_exr};
+
+    /// A lamp in a mirror, 3000 times as bright as the rest, on half a per cent of the picture.
+    #[test]
+    fn a_highlight_does_not_decide_what_is_white() {
+        let dir = tempfile::tempdir().unwrap();
+        let white = |highlight: f32| {
+            let shots: Vec<Shot> =
+                (0..3).map(|i| Shot { path: dir.path().join(format!("{i}.exr")), light: [0.0, 0.0, 1.0] }).collect();
+            for shot in &shots {
+                let light = |i: usize| match i {
+                    ..1920 => 0.0,
+                    1920..1930 => highlight,
+                    _ => 0.4,
+                };
+                let pixels = Rgb32FImage::from_raw(64, 64, (0..3 * 64 * 64).map(|i| light(i / 3)).collect()).unwrap();
+                write_exr(&shot.path, &Picture::new(pixels), &ExrOptions::default()).unwrap();
+            }
+            Stack::of(dir.path(), shots).unwrap().white
+        };
+        let (without, with) = (white(0.4), white(1200.0));
+        assert!((without / (0.4 / 0.18) - 1.0).abs() < 0.01 && with < 1.05 * without, "{without} and {with}");
+    }
 }
