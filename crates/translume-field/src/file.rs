@@ -104,6 +104,9 @@ fn values(codes: &[u16], rows: usize, (low, high): (&[f32], &[f32]), bits: u32) 
     DMatrix::from_fn(rows, low.len(), |i, j| low[j] + f32::from(codes[i * low.len() + j]) / most * (high[j] - low[j]))
 }
 
+/// The number of a layer, and its blocks.
+type Numbered<'a> = (usize, &'a [u8]);
+
 /// Writes a field; it appears whole or not at all. `command` says how it was made.
 ///
 /// # Errors
@@ -123,7 +126,7 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
     };
     let mut layers: Vec<LayerEntry> = Vec::new();
     // Layers of one codec are one array.
-    let mut arrays: Vec<(Codec, Vec<(usize, &[u8])>)> = Vec::new();
+    let mut arrays: Vec<(Codec, Vec<Numbered<'_>>)> = Vec::new();
     for (number, l) in field.layers.iter().enumerate() {
         let image = arrays.iter().position(|a| a.0 == l.codec).unwrap_or(arrays.len());
         if image == arrays.len() {

@@ -278,7 +278,7 @@ mod tests {
         assert_eq!(line(Codec::Bc1, &block).unwrap().codes[..4], [0, 6, 3, 3]);
         block[7] = 0b11;
         assert_eq!(line(Codec::Bc1, &block), None);
-        assert_eq!(rgb8(0b10000_100000_00001), [0b1000_0100, 0b1000_0010, 0b0000_1000]);
+        assert_eq!(rgb8(0x8401), [0b1000_0100, 0b1000_0010, 0b0000_1000]);
     }
 
     #[test]
