@@ -172,7 +172,7 @@ fn tiles_get_layers_where_they_serve() {
     let bytes = std::fs::read(here.join("f.glb")).unwrap();
     let text = String::from_utf8_lossy(&bytes[20..6000]).into_owned();
     let at = 20 + text.find("\"side\":32").unwrap() + 7;
-    let mut damaged = bytes.clone();
+    let mut damaged = bytes;
     damaged[at] = b'6';
     std::fs::write(here.join("bad.glb"), &damaged).unwrap();
     assert!(run(&["field", "info", "bad.glb"]).error(1).contains("tiles do not fit"));
