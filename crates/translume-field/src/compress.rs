@@ -1,14 +1,16 @@
 //! From a stack to a field: the phases of [Menzel 2012, ch. 4], for the default model and its baselines.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::file;
-use crate::layers;
+use crate::layers::{self, Plan};
 use crate::matrix::Matrix;
 use crate::pca;
 use crate::sphere::Kernel;
 use crate::stack::Stack;
 use crate::texture::{Codec, Texture};
+use crate::tiles::{self, Tiles, Tiling};
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 
@@ -16,6 +18,9 @@ use nalgebra::DMatrix;
 pub const MOST_TERMS: usize = 128;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
+
+/// Memory for principal planes beside the stack.
+const BESIDE: usize = 256 << 20;
 
 /// How to compress.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +39,9 @@ pub struct Params {
     pub randomised: bool,
     /// Whether a layer of the default model sees what encoding the earlier ones lost; otherwise for comparison.
     pub closed_loop: bool,
-    /// Bytes that the stack may take in memory; larger ones are read twice.
+    /// How the layers of the default model are given to the parts of the picture.
+    pub tiling: Tiling,
+    /// Bytes that the stack may take in memory; larger ones are read twice. Planes take at least 256 MiB more.
     pub memory: usize,
 }
 
@@ -61,6 +68,7 @@ impl Default for Params {
             gaussian: None,
             randomised: false,
             closed_loop: true,
+            tiling: Tiling::Auto,
             memory: 1536 << 20,
         }
     }
@@ -228,6 +236,7 @@ impl Job<'_> {
             domain: self.domain,
             white: self.stack.white,
             layers,
+            tiles: None,
             angular,
         }
     }
@@ -244,9 +253,10 @@ impl Job<'_> {
     fn layers(&mut self, terms: usize) -> Result<Field> {
         (self.progress)("decomposing");
         let step = self.step();
-        let means = self.matrix.means(step);
+        let means = self.origin(step);
         let codecs = self.params.codecs();
-        let planes = terms * codecs.iter().map(|c| c.channels()).max().unwrap_or(1) + 8;
+        let channels = codecs.iter().map(|c| c.channels()).max().unwrap_or(1);
+        let planes = self.principal_planes(terms, channels);
         let (directions, _) = pca::randomised(&self.matrix, &means, planes, 1, step);
         let offset: Vec<f32> =
             directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
@@ -257,7 +267,10 @@ impl Job<'_> {
         (self.progress)("encoding");
         let size = (self.stack.width, self.stack.height);
         let codecs = layers::best_codecs(&planes, size, &codecs, terms, self.params.closed_loop)?;
-        let found = layers::encode(planes, size, &codecs, terms, self.params.closed_loop)?;
+        let tiles = self.tiles(&planes, &codecs, terms)?;
+        let count = tiles.as_ref().map_or(terms, Tiles::most);
+        let plan = Plan { count, closed_loop: self.params.closed_loop, tiles: tiles.as_ref() };
+        let found = layers::encode(planes, size, &codecs, &plan, &mut |_| ())?;
         // Back from principal coordinates to lights and channels: (1 + layers) × (3 lights).
         let mut columns = found.weights.map(|w| w as f32) * directions.transpose();
         means.iter().enumerate().for_each(|(i, m)| columns[(0, i)] += m);
@@ -271,7 +284,71 @@ impl Job<'_> {
         });
         let kernel = self.kernel(false, &factors);
         let angular = Angular::Lights { colour: true, lights: self.lights.clone(), table, kernel };
-        Ok(self.field(found.textures, angular))
+        Ok(Field { tiles, ..self.field(found.textures, angular) })
+    }
+
+    /// How many principal planes are found for `terms` layers: as many as those hold, and a few; for tiles, some of which have more
+    /// layers, up to twice as many, as memory allows.
+    fn principal_planes(&self, terms: usize, channels: usize) -> usize {
+        let needed = terms * channels + 8;
+        if !self.may_tile() || self.params.tiling == Tiling::Whole {
+            return needed;
+        }
+        let room = (self.params.memory + BESIDE).saturating_sub(self.matrix.bytes());
+        (room / (4 * self.stack.pixels())).clamp(needed, 2 * terms * channels + 8)
+    }
+
+    /// What planes are counted from: the means of the columns; no light, where a good part of the picture is black under all
+    /// lights, so that tiles there need no layer.
+    fn origin(&self, step: usize) -> Vec<f32> {
+        const MUCH: f64 = 0.02;
+        if self.may_tile()
+            && self.params.tiling != Tiling::Whole
+            && self.matrix.share_of(self.domain.value(0.0), step) > MUCH
+        {
+            return vec![self.domain.value(0.0); 3 * self.lights.len()];
+        }
+        self.matrix.means(step)
+    }
+
+    /// Whether the picture is large enough for tiles to differ, and all is as they need it.
+    fn may_tile(&self) -> bool {
+        let (across, down) = Tiles::grid(self.stack.width, self.stack.height);
+        let blocks = self.params.codecs().iter().all(|c| matches!(c, Codec::Bc1 | Codec::Bc4));
+        across * down >= 16 && blocks && self.params.closed_loop
+    }
+
+    /// How many layers each tile gets, for the bytes of `terms` layers everywhere; `None`: as many as all others.
+    fn tiles(&self, planes: &[f32], codecs: &[Codec], terms: usize) -> Result<Option<Tiles>> {
+        // What a trial must leave less of, for a file that is less simple.
+        const WORTH: f64 = 0.95;
+        if !self.may_tile() || self.params.tiling == Tiling::Whole {
+            return Ok(None);
+        }
+        let size = (self.stack.width, self.stack.height);
+        let most = (2 * terms).min(self.params.most(self.lights.len()));
+        let mut bytes = terms * codecs[0].bytes(size.0, size.1);
+        if let Rate::Bytes(_) = self.params.rate {
+            // The bytes of the weights of more layers, and of rows of tiles that are not full.
+            bytes = bytes.saturating_sub((most - terms) * (18 * self.lights.len() + 800) + 128 * 512);
+        }
+        let left = layers::left_in_tiles(planes, size, codecs, most)?;
+        let (across, _) = Tiles::grid(size.0, size.1);
+        let budget = bytes.saturating_sub(left[0].len()) / codecs[0].bytes(tiles::SIDE, tiles::SIDE);
+        let counts = match self.params.tiling {
+            Tiling::Mask => {
+                let floor = 1e-9 * left[0].iter().sum::<f64>() / left[0].len() as f64;
+                let lit = left[0].iter().filter(|e| **e > floor).count().max(1);
+                let each = (budget / lit).min(most).min(left.len() - 1) as u8;
+                left[0].iter().map(|e| if *e > floor { each } else { 0 }).collect()
+            }
+            _ => tiles::choose(&left, budget),
+        };
+        let sum =
+            |of: &dyn Fn(usize) -> usize| (0..counts.len()).map(|t| left[of(t).min(left.len() - 1)][t]).sum::<f64>();
+        let pays = sum(&|t| usize::from(counts[t])) < WORTH * sum(&|_| terms);
+        let wanted = pays || self.params.tiling != Tiling::Auto;
+        Ok((wanted && counts.iter().any(|c| *c > 0)).then_some(Tiles { across, counts }))
     }
 
     /// Eigenimages of three channels, σ u, and weights v [Menzel 2012, §4.2].

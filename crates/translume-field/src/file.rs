@@ -1,11 +1,13 @@
 //! The file of a field: a binary glTF 2.0 container (`.glb`) with KTX2 textures and an extension of our own,
 //! `TRANSLUME_reflectance_field`. `docs/formats/field.md` is its specification.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::ktx2;
 use crate::sphere::Kernel;
 use crate::texture::{Codec, Texture};
+use crate::tiles::{self, Tiles};
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -27,7 +29,17 @@ struct Manifest {
     domain: Domain,
     white: f32,
     layers: Vec<LayerEntry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tiles: Option<TilesEntry>,
     weights: Weights,
+}
+
+/// Layers by tile, a byte each.
+#[derive(Serialize, Deserialize)]
+struct TilesEntry {
+    side: usize,
+    #[serde(rename = "countsView")]
+    counts_view: usize,
 }
 
 /// A layer: an image of the file, a layer of its array, and the range of each channel.
@@ -92,6 +104,9 @@ fn values(codes: &[u16], rows: usize, (low, high): (&[f32], &[f32]), bits: u32) 
     DMatrix::from_fn(rows, low.len(), |i, j| low[j] + f32::from(codes[i * low.len() + j]) / most * (high[j] - low[j]))
 }
 
+/// The number of a layer, and its blocks.
+type Numbered<'a> = (usize, &'a [u8]);
+
 /// Writes a field; it appears whole or not at all. `command` says how it was made.
 ///
 /// # Errors
@@ -111,8 +126,8 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
     };
     let mut layers: Vec<LayerEntry> = Vec::new();
     // Layers of one codec are one array.
-    let mut arrays: Vec<(Codec, Vec<&[u8]>)> = Vec::new();
-    for l in &field.layers {
+    let mut arrays: Vec<(Codec, Vec<Numbered<'_>>)> = Vec::new();
+    for (number, l) in field.layers.iter().enumerate() {
         let image = arrays.iter().position(|a| a.0 == l.codec).unwrap_or(arrays.len());
         if image == arrays.len() {
             arrays.push((l.codec, Vec::new()));
@@ -120,12 +135,21 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
         let n = l.codec.channels();
         let layer = arrays[image].1.len();
         layers.push(LayerEntry { image, layer, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() });
-        arrays[image].1.push(&l.data);
+        arrays[image].1.push((number, &l.data));
     }
     for (codec, data) in &arrays {
-        let view = add(&ktx2::write(*codec, (field.width, field.height), data));
+        let view = match &field.tiles {
+            None => {
+                add(&ktx2::write(*codec, (field.width, field.height), &data.iter().map(|d| d.1).collect::<Vec<_>>()))
+            }
+            Some(tiles) => {
+                let (size, parts) = tiles.pack(data, field.width.div_ceil(4));
+                add(&ktx2::write(*codec, size, &parts.iter().map(|p| &p[..]).collect::<Vec<_>>()))
+            }
+        };
         images.push(json!({ "mimeType": "image/ktx2", "bufferView": view, "name": format!("{codec:?}") }));
     }
+    let tiles = field.tiles.as_ref().map(|t| TilesEntry { side: tiles::SIDE, counts_view: add(&t.counts) });
     let weights = match &field.angular {
         Angular::Basis(basis) => Weights::Basis { basis: *basis },
         Angular::Lights { colour, lights, table, kernel } => {
@@ -157,6 +181,7 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
         domain: field.domain,
         white: field.white,
         layers,
+        tiles,
         weights,
     };
     binary.resize(binary.len().next_multiple_of(4), 0);
@@ -255,20 +280,57 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
         range.and_then(|r| binary.get(r)).ok_or_else(|| format!("buffer view {index} is not in the file (truncated?)"))
     };
     let (w, h) = (manifest.width, manifest.height);
-    let mut layers = Vec::new();
-    for (i, entry) in manifest.layers.iter().enumerate() {
-        let image =
-            document["images"][entry.image]["bufferView"].as_u64().ok_or_else(|| format!("layer {i} has no image"))?;
-        let (codec, size, data) = ktx2::read(view(image as usize)?)?;
-        let data =
-            data.get(entry.layer).filter(|_| size == (w, h)).ok_or_else(|| format!("layer {i} is not in its image"))?;
-        let n = codec.channels();
-        let range = |v: &[f32]| {
-            (v.len() == n && v.iter().all(|x| x.is_finite())).then(|| std::array::from_fn(|c| v[c.min(n - 1)]))
+    let tiles = match &manifest.tiles {
+        None => None,
+        Some(entry) => {
+            let (counts, (across, down)) = (view(entry.counts_view)?, Tiles::grid(w, h));
+            if entry.side != tiles::SIDE || across.checked_mul(down) != Some(counts.len()) {
+                return Err("its tiles do not fit its size".into());
+            }
+            Some(Tiles { across, counts: counts.to_vec() })
+        }
+    };
+    let mut layers: Vec<Option<Texture>> = vec![None; manifest.layers.len()];
+    for image in 0..=manifest.layers.iter().map(|l| l.image).max().unwrap_or(0).min(layers.len()) {
+        // Layers of this image, in its order.
+        let mut own: Vec<usize> = (0..layers.len()).filter(|i| manifest.layers[*i].image == image).collect();
+        if own.is_empty() {
+            continue;
+        }
+        own.sort_by_key(|i| manifest.layers[*i].layer);
+        let missing = |i: usize| format!("layer {i} is not in its image");
+        let at =
+            document["images"][image]["bufferView"].as_u64().ok_or_else(|| format!("layer {} has no image", own[0]))?;
+        let (codec, size, parts) = ktx2::read(view(at as usize)?)?;
+        let data: Vec<Vec<u8>> = match &tiles {
+            None => {
+                let one = |i: &usize| parts.get(manifest.layers[*i].layer).map(|d| d.to_vec());
+                let found: Option<Vec<_>> = own.iter().map(one).collect();
+                found.filter(|_| size == (w, h)).ok_or_else(|| missing(own[0]))?
+            }
+            Some(tiles) => {
+                let blocks = (w.div_ceil(4), h.div_ceil(4));
+                // Layers of tiles take more room here than in the file, but not any amount.
+                let room = blocks.0.saturating_mul(blocks.1).saturating_mul(8 * layers.len());
+                let sound = matches!(codec, Codec::Bc1 | Codec::Bc4) && tiles.most() == layers.len();
+                if !sound || room > binary.len().saturating_mul(1024) {
+                    return Err("its tiles do not fit its layers".into());
+                }
+                tiles.unpack(&own, blocks, size, &parts).ok_or_else(|| missing(own[0]))?
+            }
         };
-        let (low, high) = range(&entry.low).zip(range(&entry.high)).ok_or_else(|| format!("layer {i} has no range"))?;
-        layers.push(Texture { codec, data: data.to_vec(), low, high });
+        for (i, data) in own.into_iter().zip(data) {
+            let (entry, n) = (&manifest.layers[i], codec.channels());
+            let range = |v: &[f32]| {
+                (v.len() == n && v.iter().all(|x| x.is_finite())).then(|| std::array::from_fn(|c| v[c.min(n - 1)]))
+            };
+            let ranges = range(&entry.low).zip(range(&entry.high));
+            let (low, high) = ranges.ok_or_else(|| format!("layer {i} has no range"))?;
+            layers[i] = Some(Texture { codec, data, low, high });
+        }
     }
+    let found: Option<Vec<Texture>> = layers.into_iter().collect();
+    let layers = found.ok_or("a layer has no image")?;
     let angular = match manifest.weights {
         Weights::Basis { basis } => Angular::Basis(basis),
         Weights::Lights { colour, kernel, count, directions_view, weights_view, bits, low, high } => {
@@ -296,7 +358,7 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
         return Err("its white is no positive number".into());
     }
     let domain = manifest.domain.check().map_err(|e| e.to_string())?;
-    Ok(Field { model: manifest.model, width: w, height: h, domain, white: manifest.white, layers, angular })
+    Ok(Field { model: manifest.model, width: w, height: h, domain, white: manifest.white, layers, tiles, angular })
 }
 
 fn check(kernel: Kernel) -> std::result::Result<(), String> {
@@ -325,6 +387,7 @@ mod tests {
             domain: Domain::default(),
             white: 3.5,
             layers,
+            tiles: None,
             angular: Angular::Lights {
                 colour: model == Model::Layers,
                 lights: lights.clone(),

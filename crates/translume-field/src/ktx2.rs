@@ -139,6 +139,21 @@ mod tests {
         }
     }
 
+    /// The reader of others finds the same in it.
+    #[test]
+    fn another_reader_opens_it() {
+        for codec in CODECS {
+            let layer: Vec<u8> = (0..codec.bytes(9, 5)).map(|i| (i * 7) as u8).collect();
+            let file = write(codec, (9, 5), &[&layer, &layer]);
+            let reader = ktx2::Reader::new(&file[..]).unwrap();
+            let header = reader.header();
+            assert_eq!((header.pixel_width, header.pixel_height, header.layer_count), (9, 5, 2));
+            assert_eq!(header.format.map(|f| f.value()), Some(format(codec).0));
+            let levels: Vec<_> = reader.levels().collect();
+            assert!(levels.len() == 1 && levels[0].data == [&layer[..], &layer[..]].concat(), "{codec:?}");
+        }
+    }
+
     #[test]
     fn the_header_is_the_one_of_the_specification() {
         let file = write(Codec::Bc4, (8, 4), &[&[1; 16], &[2; 16]]);

@@ -119,6 +119,11 @@ impl Matrix {
         (self.planes, self.texels) = (Vec::new(), 0);
     }
 
+    /// Memory that it takes.
+    pub(crate) fn bytes(&self) -> usize {
+        2 * self.planes.len()
+    }
+
     /// Number of pieces.
     pub(crate) fn pieces(&self) -> usize {
         self.texels.div_ceil(PIECE)
@@ -173,6 +178,22 @@ impl Matrix {
         });
         let texels: usize = (0..self.pieces()).step_by(step.max(1)).map(|p| self.piece(p).len()).sum();
         sums.iter().map(|s| (s / texels as f64) as f32).collect()
+    }
+
+    /// The share of the texels (every `step`-th piece) that have `value` under all lights.
+    pub(crate) fn share_of(&self, value: f32, step: usize) -> f64 {
+        let value = f16::from_f32(value);
+        let picked: Vec<usize> = (0..self.pieces()).step_by(step.max(1)).collect();
+        let count = |piece: &usize| {
+            let range = self.piece(*piece);
+            let mut all = vec![true; range.len()];
+            for plane in self.planes.chunks(self.texels) {
+                all.iter_mut().zip(&plane[range.clone()]).for_each(|(all, v)| *all &= *v == value);
+            }
+            all.iter().filter(|a| **a).count()
+        };
+        let texels: usize = picked.iter().map(|p| self.piece(*p).len()).sum();
+        picked.par_iter().map(count).sum::<usize>() as f64 / texels.max(1) as f64
     }
 
     /// Mean squared difference on a display ([`crate::measure::shown`]) between the picture of light `i` and another, over the texels held.

@@ -1,7 +1,8 @@
 //! How far a field is from its stack, as [Menzel 2012, §4.6] measures it: after an adaptive exposure (here the stack's
 //! white, once for all pictures) and gamma 2.2, clipped to what a display shows.
 
-use crate::field::{Field, Relighter};
+use crate::Relighter;
+use crate::field::Field;
 use crate::matrix::Matrix;
 use crate::pca;
 use crate::stack::Stack;
@@ -15,6 +16,9 @@ pub fn shown(x: f32) -> f32 {
     x.clamp(0.0, 1.0).powf(1.0 / 2.2)
 }
 
+/// PSNR of pictures that are the same (black ones, mostly): with infinity there would be no mean.
+pub const MOST_PSNR: f64 = 100.0;
+
 /// Errors of one picture.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureError {
@@ -22,7 +26,7 @@ pub struct PictureError {
     pub light: usize,
     /// Root mean square difference of what a display shows, in [0, 1].
     pub rms: f64,
-    /// PSNR of the same in dB, peak 1.
+    /// PSNR of the same in dB, peak 1; at most [`MOST_PSNR`].
     pub psnr: f64,
     /// Root mean square of ln((x + δ)/(y + δ)), δ 1 % of white: every exposure counts.
     pub log_rms: f64,
@@ -61,7 +65,12 @@ pub fn compare(field: &Field, stack: &mut Stack, progress: &(dyn Fn() + Sync)) -
             log_sum += f64::from(((x + 0.01) / (y + 0.01)).ln()).powi(2);
         }
         let (mse, log_mse) = (sum / rgb.len() as f64, log_sum / rgb.len() as f64);
-        let error = PictureError { light, rms: mse.sqrt(), psnr: -10.0 * mse.log10(), log_rms: log_mse.sqrt() };
+        let error = PictureError {
+            light,
+            rms: mse.sqrt(),
+            psnr: (-10.0 * mse.log10()).min(MOST_PSNR),
+            log_rms: log_mse.sqrt(),
+        };
         found.lock().unwrap_or_else(|p| p.into_inner())[light] = Some(error);
         Ok(())
     };

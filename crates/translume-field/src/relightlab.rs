@@ -5,8 +5,9 @@
 //! PTM and HSH in `rgb` and `lrgb` are read; RelightLab's own RBF and bilinear planes are not. Tiled layouts (deepzoom) are
 //! not read.
 
+use crate::Relighter;
 use crate::basis::Basis;
-use crate::field::{Angular, Field, Model, Relighter};
+use crate::field::{Angular, Field, Model};
 use crate::lights::normalised;
 use crate::texture::{Codec, Texture};
 use crate::{Domain, Error, Result};
@@ -86,6 +87,7 @@ pub fn import(folder: &Path) -> Result<Field> {
         domain: Domain::Display,
         white: 1.0,
         layers,
+        tiles: None,
         angular: Angular::Basis(basis),
     })
 }
@@ -232,6 +234,7 @@ mod tests {
             domain: Domain::Display,
             white: 1.0,
             layers: (0..6).map(layer).collect(),
+            tiles: None,
             angular: Angular::Basis(Basis::Ptm),
         }
     }

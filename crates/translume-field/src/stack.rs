@@ -1,6 +1,7 @@
 //! A stack of pictures: one view, one light each. Pictures are read when they are needed and forgotten after.
 
 use crate::lights::{self, Shot};
+use crate::names;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -10,6 +11,17 @@ use translume_image::{Format, read_codes, read_picture};
 
 /// Fewest pictures that make a field.
 pub const FEWEST: usize = 3;
+
+/// How to read a folder as a stack.
+#[derive(Clone, Debug, Default)]
+pub struct Source {
+    /// List of lights; `None`: the one in the folder ([`lights::find`]).
+    pub list: Option<PathBuf>,
+    /// Instead of a list: pattern of the pictures' names, with directions in it ([`names::find`]).
+    pub names: Option<String>,
+    /// Values of 8 and 16-bit pictures are light as they stand, not codes of a display.
+    pub linear: bool,
+}
 
 /// A stack on disk.
 #[derive(Clone, Debug)]
@@ -22,9 +34,11 @@ pub struct Stack {
     pub width: usize,
     /// Height of every picture.
     pub height: usize,
-    /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit at
-    /// 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
+    /// Light that a display shows as white: 1 for encoded pictures; for float ones, the mean luminance of what is lit
+    /// (highlights cut) at 18 % (the "adaptive exposure" of the thesis, once for the whole stack).
     pub white: f32,
+    /// Integers are light as they stand.
+    pub linear: bool,
     /// What is odd about the stack but no reason to stop.
     pub warnings: Vec<String>,
 }
@@ -41,14 +55,25 @@ impl Stack {
     /// Opens the stack in `folder` with the lights of `list` or of the list found there.
     ///
     /// # Errors
-    /// As [`lights::find`]; [`Error::Invalid`] for fewer than [`FEWEST`] pictures and for float stacks without light.
+    /// As [`Stack::open_as`].
     pub fn open(folder: &Path, list: Option<&Path>) -> Result<Self> {
-        let (shots, unlit) = lights::find(folder, list)?;
-        let mut stack = Self::of(folder, shots)?;
+        Self::open_as(folder, &Source { list: list.map(Path::to_owned), ..Source::default() })
+    }
+
+    /// Opens the stack in `folder`.
+    ///
+    /// # Errors
+    /// As [`lights::find`] and [`names::find`]; [`Error::Invalid`] for fewer than [`FEWEST`] pictures and for float stacks without light.
+    pub fn open_as(folder: &Path, source: &Source) -> Result<Self> {
+        let (shots, unlit) = match &source.names {
+            Some(pattern) => names::find(folder, pattern)?,
+            None => lights::find(folder, source.list.as_deref())?,
+        };
+        let mut stack = Self::made(folder, shots, source.linear)?;
         if unlit > 0 {
-            stack
-                .warnings
-                .push(format!("{}: {unlit} pictures are not in the list of lights and are left out", folder.display()));
+            let why =
+                if source.names.is_some() { "have names of another pattern" } else { "are not in the list of lights" };
+            stack.warnings.push(format!("{}: {unlit} pictures {why} and are left out", folder.display()));
         }
         Ok(stack)
     }
@@ -56,8 +81,12 @@ impl Stack {
     /// A stack of `shots`; sizes and white are read off its pictures.
     ///
     /// # Errors
-    /// As [`Stack::open`].
+    /// As [`Stack::open_as`].
     pub fn of(folder: &Path, shots: Vec<Shot>) -> Result<Self> {
+        Self::made(folder, shots, false)
+    }
+
+    fn made(folder: &Path, shots: Vec<Shot>, linear: bool) -> Result<Self> {
         if shots.len() < FEWEST {
             let what = format!("{} pictures with lights: a field needs {FEWEST} or more", shots.len());
             return Err(Error::invalid(folder, what));
@@ -69,10 +98,11 @@ impl Stack {
             width: width as usize,
             height: height as usize,
             white: 1.0,
+            linear,
             warnings: Vec::new(),
             shots,
         };
-        if is_float(&stack.shots[0].path)? {
+        if linear || is_float(&stack.shots[0].path)? {
             stack.white = stack.adaptive_white()?;
         }
         Ok(stack)
@@ -94,9 +124,14 @@ impl Stack {
 
     fn read_counting(&self, i: usize, repairs: &Repairs) -> Result<Vec<f32>> {
         let path = &self.shots[i].path;
-        let picture = read_picture(path)?;
-        let (w, h) = picture.pixels.dimensions();
-        if (w as usize, h as usize) != (self.width, self.height) {
+        let (w, h, mut rgb) = if self.linear {
+            let codes = read_codes(path)?;
+            (codes.width, codes.height, (0..3 * codes.width * codes.height).map(|i| codes.unit(i)).collect())
+        } else {
+            let pixels = read_picture(path)?.pixels;
+            (pixels.width() as usize, pixels.height() as usize, pixels.into_raw())
+        };
+        if (w, h) != (self.width, self.height) {
             let (w0, h0) = (self.width, self.height);
             let what = format!(
                 "{w} × {h} pixels, but {} has {w0} × {h0}: all pictures of a stack show one view",
@@ -104,7 +139,6 @@ impl Stack {
             );
             return Err(Error::invalid(path, what));
         }
-        let mut rgb = picture.pixels.into_raw();
         let (scale, mut non_finite, mut negative, mut most) = (1.0 / self.white, 0, 0, 0.0f32);
         for v in &mut rgb {
             if !v.is_finite() {
@@ -156,29 +190,32 @@ impl Stack {
         Ok(())
     }
 
-    /// Mean luminance of lit pixels, over up to 16 pictures, divided by 0.18.
+    /// Mean luminance of lit pixels, over up to 16 pictures, divided by 0.18. What is brighter than all but a hundredth of them
+    /// counts as that, so that a lamp seen in a mirror does not make the rest dark.
     fn adaptive_white(&self) -> Result<f32> {
         let n = self.shots.len();
         let count = n.min(16);
         let picked: Vec<usize> = (0..count).map(|i| i * n / count).collect();
         let y = Space::REC709.luminance_weights().map(|w| w as f32);
-        let parts: Result<Vec<(f64, usize)>> = picked
+        let parts: Result<Vec<Vec<f32>>> = picked
             .into_par_iter()
             .with_max_len(1)
             .map(|i| {
+                // Some 16,000 pixels of each say enough.
                 let rgb = self.read(i)?;
-                let luminance = |p: &[f32; 3]| y[0] * p[0] + y[1] * p[1] + y[2] * p[2];
-                let pixels = rgb.as_chunks::<3>().0;
-                let floor = 1e-3 * pixels.iter().map(luminance).fold(0.0, f32::max);
-                let lit = pixels.iter().map(luminance).filter(|l| *l > floor);
-                Ok(lit.fold((0.0, 0), |(s, n), l| (s + f64::from(l), n + 1)))
+                let pixels = rgb.as_chunks::<3>().0.iter().step_by((self.pixels() >> 14).max(1));
+                Ok(pixels.map(|p| y[0] * p[0] + y[1] * p[1] + y[2] * p[2]).filter(|l| *l > 0.0).collect())
             })
             .collect();
-        let (sum, lit) = parts?.into_iter().fold((0.0, 0), |(s, n), (s1, n1)| (s + s1, n + n1));
-        if lit == 0 {
+        let mut lit = parts?.concat();
+        if lit.is_empty() {
             return Err(Error::invalid(&self.folder, "the pictures are black: nothing to compress"));
         }
-        Ok((sum / lit as f64 / 0.18) as f32)
+        lit.sort_by(f32::total_cmp);
+        let most = lit[(lit.len() * 99 / 100).min(lit.len() - 1)];
+        let bright = lit.iter().filter(|l| **l > 1e-3 * most);
+        let (sum, count) = bright.fold((0.0, 0), |(s, n), l| (s + f64::from(l.min(most)), n + 1));
+        Ok((sum / f64::from(count.max(1)) / 0.18) as f32)
     }
 }
 
@@ -189,4 +226,32 @@ fn is_float(path: &Path) -> Result<bool> {
         Format::Tiff => read_codes(path)?.is_linear(),
         _ => false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use translume_image::{ExrOptions, Picture, Rgb32FImage, write_exr};
+
+    /// A lamp in a mirror, 3000 times as bright as the rest, on half a per cent of the picture.
+    #[test]
+    fn a_highlight_does_not_decide_what_is_white() {
+        let dir = tempfile::tempdir().unwrap();
+        let white = |highlight: f32| {
+            let shots: Vec<Shot> =
+                (0..3).map(|i| Shot { path: dir.path().join(format!("{i}.exr")), light: [0.0, 0.0, 1.0] }).collect();
+            for shot in &shots {
+                let light = |i: usize| match i {
+                    ..1920 => 0.0,
+                    1920..1930 => highlight,
+                    _ => 0.4,
+                };
+                let pixels = Rgb32FImage::from_raw(64, 64, (0..3 * 64 * 64).map(|i| light(i / 3)).collect()).unwrap();
+                write_exr(&shot.path, &Picture::new(pixels), &ExrOptions::default()).unwrap();
+            }
+            Stack::of(dir.path(), shots).unwrap().white
+        };
+        let (without, with) = (white(0.4), white(1200.0));
+        assert!((without / (0.4 / 0.18) - 1.0).abs() < 0.01 && with < 1.05 * without, "{without} and {with}");
+    }
 }

@@ -4,7 +4,7 @@
 //! of 4 × 4. BC4, the codec of the default model, is written here; BC1 and BC7 are the `block_compression` crate's.
 //! Sizes that are no multiple of four are filled up by repeating the last row and column.
 
-use crate::{Error, Result};
+use crate::{Error, Result, lines};
 use block_compression::{BC7Settings, CompressionVariant, decode, encode};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -72,6 +72,16 @@ impl Texture {
     /// # Errors
     /// [`Error::Parameter`] when the number of planes is not the codec's.
     pub fn encode(codec: Codec, planes: &[&[f32]], width: usize) -> Result<Self> {
+        Self::encode_where(codec, planes, width, &|_, _| true)
+    }
+
+    /// The same; of block codecs only the blocks (x, y) that are to be kept: the others are 0.
+    pub(crate) fn encode_where(
+        codec: Codec,
+        planes: &[&[f32]],
+        width: usize,
+        keep: &(dyn Fn(usize, usize) -> bool + Sync),
+    ) -> Result<Self> {
         if planes.len() != codec.channels() {
             let what = format!("{} planes for {codec:?}, which has {} channels", planes.len(), codec.channels());
             return Err(Error::Parameter(what));
@@ -93,11 +103,11 @@ impl Texture {
         let data = match codec {
             Codec::R8 => (0..planes[0].len()).map(|i| byte(unit(0, i))).collect(),
             Codec::Rgb8 => (0..planes[0].len()).flat_map(|i| [0, 1, 2].map(|c| byte(unit(c, i)))).collect(),
-            Codec::Bc4 => blocks(8, (width, height), |at, out| {
+            Codec::Bc4 => blocks(8, (width, height), keep, |at, out| {
                 let values: [f32; 16] = std::array::from_fn(|i| 255.0 * unit(0, at(i)));
                 out.copy_from_slice(&bc4_block(&values));
             }),
-            Codec::Bc1 | Codec::Bc7 => blocks(codec.bytes(4, 4), (width, height), |at, out| {
+            Codec::Bc1 | Codec::Bc7 => blocks(codec.bytes(4, 4), (width, height), keep, |at, out| {
                 let texel = |i| [0, 1, 2, 3].map(|c| if c < 3 { byte(unit(c, at(i))) } else { 255 });
                 let texels: Vec<u8> = (0..16).flat_map(texel).collect();
                 encode::compress_rgba8(codec.library(), &texels, out, 4, 4, 16);
@@ -157,6 +167,17 @@ impl Texture {
 
     fn decode_block(&self, block: &[u8]) -> [[u16; 16]; 3] {
         let mut out = [[0; 16]; 3];
+        // Exactly between the ends, where graphics processors may round.
+        if let Some(line) = lines::line(self.codec, block) {
+            let last = f32::from(lines::last_code(self.codec));
+            for (c, out) in out.iter_mut().enumerate() {
+                let (start, step) = (f32::from(line.start[c]), f32::from(line.step[c]) / last);
+                out.iter_mut()
+                    .zip(line.codes)
+                    .for_each(|(o, code)| *o = ((start + step * f32::from(code)) * 257.0 + 0.5) as u16);
+            }
+            return out;
+        }
         match self.codec {
             Codec::Bc4 => out[0] = bc4_texels(block),
             _ => {
@@ -176,13 +197,20 @@ fn byte(unit: f32) -> u8 {
 }
 
 /// All blocks of `size` bytes of a picture; `fill` gets the index of a block's texel `i` and the place for the block.
-fn blocks(size: usize, (w, h): (usize, usize), fill: impl Fn(&dyn Fn(usize) -> usize, &mut [u8]) + Sync) -> Vec<u8> {
+fn blocks(
+    size: usize,
+    (w, h): (usize, usize),
+    keep: &(dyn Fn(usize, usize) -> bool + Sync),
+    fill: impl Fn(&dyn Fn(usize) -> usize, &mut [u8]) + Sync,
+) -> Vec<u8> {
     let across = w.div_ceil(4);
     let mut data = vec![0; size * across * h.div_ceil(4)];
     data.par_chunks_mut(size * across).enumerate().for_each(|(by, row)| {
         for (bx, out) in row.chunks_mut(size).enumerate() {
             let at = |i: usize| (4 * by + i / 4).min(h - 1) * w + (4 * bx + i % 4).min(w - 1);
-            fill(&at, out);
+            if keep(bx, by) {
+                fill(&at, out);
+            }
         }
     });
     data

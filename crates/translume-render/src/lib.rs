@@ -19,6 +19,7 @@ mod filter;
 mod fingerprint;
 pub mod integrator;
 pub mod light;
+pub mod light_stage;
 mod material;
 mod medium;
 pub mod merge;

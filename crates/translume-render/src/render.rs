@@ -180,9 +180,14 @@ impl<'a> Shot<'a> {
 
     /// The camera path of sample `sample` of pixel `i` of `tile`: its random numbers, its first ray and the filter's weight.
     pub(crate) fn camera_path(&self, tile: &Tile, i: usize, sample: u64) -> (PathSampler, Ray, f32) {
+        let i = i as u32;
+        self.camera_path_at([tile.origin[0] + i % tile.size[0], tile.origin[1] + i / tile.size[0]], sample)
+    }
+
+    /// The same of a pixel of the picture.
+    pub(crate) fn camera_path_at(&self, pixel: [u32; 2], sample: u64) -> (PathSampler, Ray, f32) {
         let (offset, _) = self.window;
-        let x = tile.origin[0] + offset[0] + i as u32 % tile.size[0];
-        let y = tile.origin[1] + offset[1] + i as u32 / tile.size[0];
+        let (x, y) = (pixel[0] + offset[0], pixel[1] + offset[1]);
         // The stream is the place on the film, so that a crop has the pixels of the whole.
         let mut sampler = PathSampler::new(self.seed, u64::from(y) << 32 | u64::from(x), sample);
         let (shift, weight) = self.filter.sample(sampler.next_2d());

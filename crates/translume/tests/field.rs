@@ -102,6 +102,88 @@ fn a_stack_becomes_a_field_that_relights_between_its_lights() {
 }
 
 #[test]
+fn names_hold_directions_and_codes_may_be_light() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let folder = here.join("named");
+    std::fs::create_dir(&folder).unwrap();
+    let lights = lights(16);
+    for l in &lights {
+        let (theta, phi) = (l[2].acos().to_degrees(), l[1].atan2(l[0]).to_degrees());
+        // Codes that are light: no curve.
+        let bytes: Vec<u8> = picture(*l).iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+        write_png8(&folder.join(format!("a t{theta:.3} p{phi:.3}.png")), (W as usize, H as usize), &bytes).unwrap();
+    }
+    let run = |arguments: &[&str]| translume(here, arguments);
+    let pattern = ["--names", "{*}t{theta} p{phi}.png"];
+    let compress = ["field", "compress", "named", "-o", "f.glb"];
+    run(&[&compress[..], &pattern, &["--linear-codes"]].concat()).ok();
+    let [x, y, z] = lights[5];
+    run(&["field", "relight", "f.glb", "--light", &format!("{x},{y},{z}"), "-o", "o.exr"]).ok();
+    assert!(psnr(&here.join("o.exr"), &picture(lights[5])) > 35.0);
+    let compare = ["field", "compare", "named", "f.glb", "--linear-codes", "--json"];
+    let compared = json(&run(&[&compare[..], &pattern].concat()).ok());
+    assert!(compared["own_lights"] == true && compared["psnr"].as_f64().unwrap() > 35.0, "{compared}");
+    // Taken for codes of a display, they are darker.
+    run(&[&compress[..], &pattern].concat()).ok();
+    run(&["field", "relight", "f.glb", "--light", &format!("{x},{y},{z}"), "-o", "o.exr"]).ok();
+    assert!(psnr(&here.join("o.exr"), &picture(lights[5])) < 20.0);
+    let error = run(&[&compress[..], &["--names", "{theta}.png"]].concat()).error(1);
+    assert!(error.contains("{theta} and {phi} are wanted"), "{error}");
+    let error = run(&[&compress[..], &["--names", "b{theta}_{phi}.png"]].concat()).error(1);
+    assert!(error.contains("0 pictures with lights"), "{error}");
+}
+
+#[test]
+fn tiles_get_layers_where_they_serve() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let (w, h) = (170u32, 130u32);
+    std::fs::create_dir(here.join("stack")).unwrap();
+    let lights = lights(20);
+    let mut list = format!("{}\n", lights.len());
+    // A wavy patch on a black ground.
+    for (i, l) in lights.iter().enumerate() {
+        let patch = picture(*l);
+        let pixels = Rgb32FImage::from_fn(w, h, |x, y| {
+            let inside = (40..40 + W).contains(&x) && (50..50 + H).contains(&y);
+            if inside { *patch.get_pixel(x - 40, y - 50) } else { image::Rgb([0.0; 3]) }
+        });
+        write(&here.join(format!("stack/{i}.exr")), pixels);
+        list += &format!("{i}.exr {} {} {}\n", l[0], l[1], l[2]);
+    }
+    std::fs::write(here.join("stack/d.lp"), list).unwrap();
+    let run = |arguments: &[&str]| translume(here, arguments);
+    let rms = |tiles: &str| {
+        let made = ["field", "compress", "stack", "-o", "f.glb", "--terms", "4", "--tiles", tiles, "--json"];
+        let made = json(&run(&made).ok());
+        assert!(made["bytes_per_texel"].as_f64().unwrap() < 2.2, "{made}");
+        let compared = json(&run(&["field", "compare", "stack", "f.glb", "--json"]).ok());
+        (compared["rms"].as_f64().unwrap(), made["layers_by_tile"].clone())
+    };
+    let ((whole, none), (adaptive, tiles)) = (rms("whole"), rms("auto"));
+    assert!(none.is_null() && tiles["most"] == 8 && tiles["without"].as_u64() > Some(10), "{tiles}");
+    assert!(adaptive < 0.7 * whole, "{adaptive} against {whole}");
+    // What is black stays black.
+    run(&["field", "relight", "f.glb", "--light", "0,0,1", "-o", "o.exr"]).ok();
+    assert!(read_picture(&here.join("o.exr")).unwrap().pixels.get_pixel(150, 10).0[1] < 1e-3);
+    assert!(run(&["field", "info", "f.glb"]).ok().contains("tiles"));
+    // Damaged anywhere in its description, it is refused or read, and nothing else.
+    let bytes = std::fs::read(here.join("f.glb")).unwrap();
+    let text = String::from_utf8_lossy(&bytes[20..6000]).into_owned();
+    let at = 20 + text.find("\"side\":32").unwrap() + 7;
+    let mut damaged = bytes;
+    damaged[at] = b'6';
+    std::fs::write(here.join("bad.glb"), &damaged).unwrap();
+    assert!(run(&["field", "info", "bad.glb"]).error(1).contains("tiles do not fit"));
+    assert!(
+        run(&["field", "compress", "stack", "-o", "f.glb", "--model", "ptm", "--tiles", "mask"])
+            .error(2)
+            .contains("--tiles")
+    );
+}
+
+#[test]
 fn every_model_makes_a_field_and_the_default_is_nearest_at_equal_bytes() {
     let dir = tempfile::tempdir().unwrap();
     stack(dir.path(), 20, "exr");

@@ -33,7 +33,7 @@ struct Parts {
     faces: HashMap<*const TriMesh, Option<Arc<Faces>>>,
 }
 
-pub(super) fn world(scene: Arc<Scene>) -> Result<World> {
+pub(crate) fn world(scene: Arc<Scene>) -> Result<World> {
     let mut uses: HashMap<*const TriMesh, usize> = HashMap::new();
     for shape in &scene.shapes {
         if let Geometry::Mesh(mesh) = &shape.geometry {

@@ -9,6 +9,7 @@ use crate::material::{Prepared, Shader};
 use crate::medium::Tracked;
 use crate::texture;
 use crate::{Error, Result, Rgb};
+pub(crate) use build::world as compile;
 use glam::{DAffine3, Vec2, Vec3};
 pub use hit::{Shading, SurfaceHit};
 use std::sync::Arc;

@@ -4,6 +4,7 @@
 //! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
+mod capture;
 mod compare;
 mod completions;
 mod demo;
@@ -30,6 +31,8 @@ pub(crate) enum Verb {
     #[command(subcommand)]
     Field(field::Args),
     Render(render::Args),
+    #[command(subcommand)]
+    Capture(capture::Args),
     Merge(merge::Args),
     Scene(scene::Args),
     Mesh(mesh::Args),
@@ -49,6 +52,7 @@ impl Verb {
             Self::Hdr(args) => hdr::run(args, ctx),
             Self::Field(args) => field::run(args, ctx),
             Self::Render(args) => render::run(args, ctx),
+            Self::Capture(args) => capture::run(args, ctx),
             Self::Merge(args) => merge::run(args, ctx),
             Self::Scene(args) => scene::run(args, ctx),
             Self::Mesh(args) => mesh::run(args, ctx),

@@ -128,13 +128,13 @@ fn parse_time(text: &str) -> Result<Duration, String> {
     seconds.map(Duration::from_secs_f64).ok_or_else(|| "a time above 0, such as 90s, 5m or 2h".into())
 }
 
-fn parse_size(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn parse_size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     let fits = |s: &[u32; 2]| s[0] > 0 && s[1] > 0 && u64::from(s[0]) * u64::from(s[1]) <= 1 << 28;
     sides.filter(fits).ok_or_else(|| "width x height, such as 640x480, at most 2^28 pixels".into())
 }
 
-fn parse_define(text: &str) -> Result<(String, String), String> {
+pub(super) fn parse_define(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
     Ok((name.into(), value.into()))
 }

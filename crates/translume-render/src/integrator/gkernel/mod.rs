@@ -106,7 +106,7 @@ impl GKernel {
     /// With these settings and options.
     ///
     /// # Errors
-    /// [`Error::Mismatch`] for options that are none.
+    /// [`crate::Error::Mismatch`] for options that are none.
     pub fn new(settings: Settings, options: &Options) -> Result<Self> {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;

@@ -28,14 +28,10 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Folder with the pictures
-    #[arg(value_name = "DIR")]
-    stack: PathBuf,
+    #[command(flatten)]
+    source: super::StackArgs,
     /// The field
     field: PathBuf,
-    /// List of light directions [default: the one in the folder]
-    #[arg(long, value_name = "FILE")]
-    lights: Option<PathBuf>,
     /// Write index.html with the error by number of terms, of log and linear PCA, and pictures side by side (made if it is
     /// not there)
     #[arg(long, value_name = "DIR")]
@@ -45,7 +41,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let field = file::read(&args.field)?;
     let bytes = std::fs::metadata(&args.field)?.len();
-    let mut stack = Stack::open(&args.stack, args.lights.as_deref())?;
+    let mut stack = args.source.open()?;
     let bar = ctx.progress(stack.shots.len() as u64, "comparing");
     let own = measure::is_own(&field, &stack);
     let errors = measure::compare(&field, &mut stack, &|| bar.inc(1))?;

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use translume_field::{Domain, Model, Params, Rate, Stack, compress, file, texture::Codec};
+use translume_field::{Domain, Model, Params, Rate, compress, file, texture::Codec, tiles::Tiling};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -18,6 +18,9 @@ Examples:
 
   The method of the thesis, with 8 terms:
     translume field compress dome/ -o statue.glb --model log-pca --terms 8
+
+  Directions in the names of the pictures (ball_t30_p270.png), linear 16-bit values:
+    translume field compress raw/ -o ball.glb --names ball_t{theta}_p{phi}.png --linear-codes
 
   Lights from a list elsewhere; PTM, as the RTI tools make it:
     translume field compress pictures/ --lights dome.lp -o statue.glb --model ptm";
@@ -33,15 +36,11 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Folder with the pictures
-    #[arg(value_name = "DIR")]
-    stack: PathBuf,
+    #[command(flatten)]
+    source: super::StackArgs,
     /// Output file
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// List of light directions [default: the one in the folder]
-    #[arg(long, value_name = "FILE")]
-    lights: Option<PathBuf>,
     /// What to make
     #[arg(long, value_enum, default_value = "layers")]
     model: ModelName,
@@ -60,6 +59,9 @@ pub(crate) struct Args {
     /// Offset δ of the logarithm as a share of white [default: 0.01; log-pca: 0.001]
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     delta: Option<f32>,
+    /// How many layers each tile of 32 × 32 texels gets, for the same bytes in all
+    #[arg(long, value_enum, default_value = "auto")]
+    tiles: TilesName,
     /// Storage of the layers [default: bc4 or bc1, what serves best; PCA: bc1; PTM and HSH: rgb8]
     #[arg(long, value_enum)]
     codec: Option<CodecName>,
@@ -83,6 +85,18 @@ enum ModelName {
     Ptm,
     /// Hemispherical harmonics: 9 terms
     Hsh,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum TilesName {
+    /// As many as serve best, where that pays
+    Auto,
+    /// All the same
+    Whole,
+    /// None where all pictures are black, elsewhere the same
+    Mask,
+    /// As many as serve best
+    Adaptive,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -134,6 +148,9 @@ impl Args {
         if self.psnr.is_some_and(|p| !(0.0..=200.0).contains(&p)) {
             return Err(Usage("--psnr takes decibels between 0 and 200".into()).into());
         }
+        if self.tiles != TilesName::Auto && model != Model::Layers {
+            return Err(Usage("--tiles: only the model `layers` has tiles".into()).into());
+        }
         Ok(Params {
             model,
             rate: match (self.terms, self.bytes, self.psnr) {
@@ -151,6 +168,12 @@ impl Args {
                 CodecName::Bc7 => Codec::Bc7,
             }),
             gaussian: self.interpolation.map(|b| matches!(b, Between::Gaussian)),
+            tiling: match self.tiles {
+                TilesName::Auto => Tiling::Auto,
+                TilesName::Whole => Tiling::Whole,
+                TilesName::Mask => Tiling::Mask,
+                TilesName::Adaptive => Tiling::Adaptive,
+            },
             memory: self.memory.saturating_mul(1 << 20),
             ..Params::default()
         })
@@ -161,7 +184,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = args.params()?;
     prepare(&args.output)?;
     let start = std::time::Instant::now();
-    let mut stack = Stack::open(&args.stack, args.lights.as_deref())?;
+    let mut stack = args.source.open()?;
     let bar = ctx.progress(stack.shots.len() as u64, "reading");
     let phase = Mutex::new(String::new());
     let progress = |what: &str| {

@@ -8,7 +8,32 @@ mod relight;
 use crate::output::Context;
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use translume_field::{Angular, Domain, Field, file, sphere::Kernel};
+use translume_field::{Angular, Domain, Field, Source, Stack, file, sphere::Kernel};
+
+/// Where the pictures and their lights are.
+#[derive(Debug, clap::Args)]
+pub(crate) struct StackArgs {
+    /// Folder with the pictures
+    #[arg(value_name = "DIR")]
+    stack: PathBuf,
+    /// List of light directions [default: the one in the folder]
+    #[arg(long, value_name = "FILE")]
+    lights: Option<PathBuf>,
+    /// Directions are in the names of the pictures: a pattern with {x}, {y} and {z}, or {theta} (degrees from the view) and {phi}
+    /// (degrees from the right over the top), and {*} for anything
+    #[arg(long, value_name = "PATTERN", conflicts_with = "lights")]
+    names: Option<String>,
+    /// 8 and 16-bit pictures hold light as it is, not codes for a display
+    #[arg(long)]
+    linear_codes: bool,
+}
+
+impl StackArgs {
+    fn open(&self) -> translume_field::Result<Stack> {
+        let source = Source { list: self.lights.clone(), names: self.names.clone(), linear: self.linear_codes };
+        Stack::open_as(&self.stack, &source)
+    }
+}
 
 const INFO_EXAMPLES: &str = "\
 Examples:
@@ -84,6 +109,14 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
         }
     };
     lines.push(format!("  lights      {between}"));
+    if let Some(t) = &field.tiles {
+        let mean = t.slots() as f64 / t.counts.len().max(1) as f64;
+        lines.push(format!(
+            "  tiles       {} of 32 × 32 with up to {} layers, {mean:.1} on average",
+            t.counts.len(),
+            t.most()
+        ));
+    }
     ctx.text(lines.join("\n"))?;
     ctx.emit_json(object)
 }
@@ -101,6 +134,12 @@ fn describe(field: &Field, bytes: u64) -> Value {
         "height": field.height,
         "terms": field.layers.len(),
         "planes": field.planes(),
+        "layers_by_tile": field.tiles.as_ref().map(|t| json!({
+            "fewest": t.counts.iter().min(),
+            "most": t.most(),
+            "mean": t.slots() as f64 / t.counts.len().max(1) as f64,
+            "without": t.counts.iter().filter(|c| **c == 0).count(),
+        })),
         "codecs": field.layers.iter().map(|l| l.codec).collect::<Vec<_>>(),
         "scale": field.domain,
         "white": field.white,
