@@ -29,7 +29,7 @@ pub(super) trait Stage: Sync {
     fn sees(&self, view: usize, position: usize) -> bool;
 }
 
-/// Photons of a pilot run for the exposure and the importance.
+/// Most photons of a pilot run for the exposure and the importance.
 const PILOT: usize = 1500;
 /// Distance from the beam up to which light counts, in widths of the frame.
 const REACH: f64 = 0.6;
@@ -152,7 +152,7 @@ impl Pilot {
         let guess = (0..4 * RINGS).map(|i| (-0.35 * i as f64 * Importance::STEP_MM).exp().max(1e-5)).collect();
         let importance = Importance::new(guess);
         let world = World { body: stage.body(), medium, interface, importance: &importance };
-        let few = CaptureParams { photons: PILOT, ..params.clone() };
+        let few = CaptureParams { photons: PILOT.min(params.photons), ..params.clone() };
         let step = laser.hits_mm.len().div_ceil(8);
         let positions: Vec<usize> = (0..laser.hits_mm.len()).step_by(step).collect();
         let one = |&position: &usize| {
