@@ -9,15 +9,16 @@ use glam::Vec2;
 /// A piecewise-constant density on [0, 1], or equally a discrete distribution over its pieces.
 #[derive(Clone, Debug)]
 pub struct Piecewise1d {
-    /// n + 1 values from 0 to 1.
+    /// n + 1 values from 0 to 1. Their differences are the probabilities, by which what is drawn and what is said of it
+    /// agree for pieces that rounding changes or empties.
     cdf: Vec<f32>,
-    /// Probability of each piece.
-    probability: Vec<f32>,
-    /// For n equal intervals of u the last piece that begins at or below the interval: where a search starts (Chen &
-    /// Asau 1974), so that it takes constant time on average.
+    /// For equal intervals of u, one to [`PIECES`] pieces, the last piece that begins at or below the interval: where a
+    /// search starts (Chen & Asau 1974), so that it takes constant time on average. Coarse, so that it stays in the cache.
     guide: Vec<u32>,
     mean: f64,
 }
+
+const PIECES: usize = 16;
 
 impl Piecewise1d {
     /// From n non-negative weights, need not sum to one.
@@ -33,22 +34,22 @@ impl Piecewise1d {
             running += f64::from(w);
             cdf.push((running / total) as f32);
         }
-        let probability = weights.iter().map(|&w| (f64::from(w) / total) as f32).collect();
         let (n, mut piece) = (weights.len(), 0);
-        let guide = (0..n)
+        let intervals = n.div_ceil(PIECES);
+        let guide = (0..intervals)
             .map(|k| {
-                while piece + 1 < n && cdf[piece + 1] <= k as f32 / n as f32 {
+                while piece + 1 < n && cdf[piece + 1] <= k as f32 / intervals as f32 {
                     piece += 1;
                 }
                 piece as u32
             })
             .collect();
-        Some(Self { cdf, probability, guide, mean: total / n as f64 })
+        Some(Self { cdf, guide, mean: total / n as f64 })
     }
 
     /// Number of pieces.
     pub fn len(&self) -> usize {
-        self.probability.len()
+        self.cdf.len() - 1
     }
 
     /// Never true: an empty distribution cannot be made.
@@ -65,26 +66,25 @@ impl Piecewise1d {
     #[inline]
     pub fn sample_discrete(&self, u: f32) -> (usize, f32, f32) {
         // The last piece that begins at or below u and is not empty.
-        let n = self.len();
-        let mut i = self.guide[((u * n as f32) as usize).min(n - 1)] as usize;
-        while i + 1 < n && self.cdf[i + 1] <= u {
-            i += 1;
-        }
+        let k = ((u * self.guide.len() as f32) as usize).min(self.guide.len() - 1);
+        let mut i = self.guide[k] as usize;
+        let end = self.guide.get(k + 1).map_or(self.len(), |&next| next as usize + 1);
+        i += self.cdf[i + 1..end].partition_point(|&begin| begin <= u);
         while i > 0 && self.cdf[i] > u {
             i -= 1; // the interval's number was rounded up
         }
-        while self.probability[i] == 0.0 && i > 0 {
+        while self.cdf[i] == self.cdf[i + 1] && i > 0 {
             i -= 1;
         }
         let (lo, hi) = (self.cdf[i], self.cdf[i + 1]);
         let rest = if hi > lo { ((u - lo) / (hi - lo)).clamp(0.0, ONE_MINUS_EPSILON) } else { 0.0 };
-        (i, self.probability[i], rest)
+        (i, hi - lo, rest)
     }
 
     /// Probability of a piece.
     #[inline]
     pub fn probability(&self, i: usize) -> f32 {
-        self.probability[i]
+        self.cdf[i + 1] - self.cdf[i]
     }
 
     /// Draws x in [0, 1); returns x and its density.
@@ -107,7 +107,7 @@ impl Piecewise1d {
     #[inline]
     pub fn pdf(&self, x: f32) -> f32 {
         let n = self.len();
-        self.probability[((x * n as f32) as usize).min(n - 1)] * n as f32
+        self.probability(((x * n as f32) as usize).min(n - 1)) * n as f32
     }
 }
 

@@ -2,10 +2,13 @@
 //!
 //! Source of the latter: Burley 2020, "Practical Hash-based Owen Scrambling"; the crate `sobol_burley` gives 64 sets of
 //! four dimensions and 2¹⁶ points. Deviations: dimensions beyond 256 and points beyond 2¹⁶ are padded with further
-//! scrambles, independent of the first.
+//! scrambles, independent of the first. The numbers are those of the crate's `sample_4d`; for the first sets its loop over
+//! the bits of the index is replaced by tables by the bytes of the index, since the sequence is linear in them.
 
 use crate::rng::Pcg32;
 use glam::Vec2;
+use sobol_burley::parts::{Int4, hash, hash_int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_int4_rev};
+use std::sync::LazyLock;
 
 /// A source of uniform numbers in [0, 1).
 pub trait Sampler {
@@ -27,10 +30,21 @@ impl Sampler for Pcg32 {
     }
 }
 
+/// Sets of dimensions that have tables, 8 KiB each.
+const TABULATED: u32 = 16;
+
+/// Per set, the unscrambled point of each high byte of a reversed 16-bit index, then of each low byte.
+static TABLES: LazyLock<Vec<[Int4; 512]>> = LazyLock::new(|| {
+    let table = |set| std::array::from_fn(|i| sobol_int4_rev((i as u32 & 0xff) << if i < 256 { 24 } else { 16 }, set));
+    (0..TABULATED).map(table).collect()
+});
+
 /// The coordinates of one point of an Owen-scrambled Sobol sequence, handed out in order of dimension.
 #[derive(Clone, Debug)]
 pub struct Sobol {
     index: u32,
+    /// The index reversed and shuffled by the seed.
+    shuffled: u32,
     seed: u32,
     set: u32,
     used: usize,
@@ -43,16 +57,36 @@ impl Sobol {
     pub fn new(seed: u64, stream: u64, index: u64) -> Self {
         let block = index >> 16;
         let key = mix(mix(seed).wrapping_add(stream)).wrapping_add(block);
-        Self { index: (index & 0xffff) as u32, seed: (mix(key) >> 32) as u32, set: 0, used: 4, buffer: [0.0; 4] }
+        let (index, seed) = ((index & 0xffff) as u32, (mix(key) >> 32) as u32);
+        let shuffled = owen_scramble_rev(index.reverse_bits(), hash(seed ^ 0x79c6_8e4a));
+        Self { index, shuffled, seed, set: 0, used: 4, buffer: [0.0; 4] }
     }
 
     #[inline]
     fn refill(&mut self) {
-        let pad = self.set / sobol_burley::NUM_DIMENSION_SETS_4D;
-        let set = self.set % sobol_burley::NUM_DIMENSION_SETS_4D;
-        self.buffer = sobol_burley::sample_4d(self.index, set, self.seed.wrapping_add(pad.wrapping_mul(0x9e37_79b9)));
+        self.buffer = match self.set < TABULATED {
+            true => self.tabulated(&TABLES[self.set as usize]),
+            false => self.padded(),
+        };
         self.set += 1;
         self.used = 0;
+    }
+
+    /// The crate's `sample_4d`.
+    #[inline]
+    fn tabulated(&self, table: &[Int4; 512]) -> [f32; 4] {
+        let (high, low) = (self.shuffled >> 24, self.shuffled >> 16 & 0xff);
+        let point = table[high as usize] ^ table[256 + low as usize];
+        let seed: Int4 = [self.seed.wrapping_mul(0x9c8f_2d3b) ^ self.set; 4].into();
+        let scramble = hash_int4(seed ^ [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8].into());
+        owen_scramble_int4_rev(point, scramble).reverse_bits().to_f32_norm()
+    }
+
+    #[cold]
+    fn padded(&self) -> [f32; 4] {
+        let pad = self.set / sobol_burley::NUM_DIMENSION_SETS_4D;
+        let set = self.set % sobol_burley::NUM_DIMENSION_SETS_4D;
+        sobol_burley::sample_4d(self.index, set, self.seed.wrapping_add(pad.wrapping_mul(0x9e37_79b9)))
     }
 }
 
@@ -102,6 +136,17 @@ mod tests {
                     seen[(p.x * a as f32) as usize * b + (p.y * b as f32) as usize] += 1;
                 }
                 assert!(seen.iter().all(|&c| c == 1), "stream {stream} split {split}");
+            }
+        }
+    }
+
+    #[test]
+    fn tables_give_the_numbers_of_the_crate() {
+        for index in [0, 1, 2, 3, 255, 256, 4711, 65535] {
+            let mut sobol = Sobol::new(3, 1, index);
+            for set in 0..TABULATED + 2 {
+                let mine: [f32; 4] = std::array::from_fn(|_| sobol.next_1d());
+                assert_eq!(mine, sobol_burley::sample_4d(index as u32, set, sobol.seed), "{index} {set}");
             }
         }
     }

@@ -60,13 +60,19 @@ pub(crate) fn sided(scene: &Scene, id: MaterialId) -> bool {
     }
 }
 
-pub(crate) struct Shader<'a> {
+/// What makes the BSDF at `hit`, whose frame is bent on the way as materials want it.
+#[derive(Clone)]
+pub(crate) struct Shader<'a, 'b> {
     pub(crate) scene: &'a Scene,
     pub(crate) prepared: &'a [Prepared],
+    pub(crate) hit: &'b SurfaceHit,
     pub(crate) place: Place,
+    pub(crate) frame: Frame,
+    /// The frame's normal before it was bent.
+    pub(crate) unbent: Option<Vec3>,
 }
 
-impl<'a> Shader<'a> {
+impl<'a> Shader<'a, '_> {
     fn rgb(&self, id: TextureId) -> Rgb {
         texture::eval(self.scene, id, &self.place)
     }
@@ -79,8 +85,8 @@ impl<'a> Shader<'a> {
         texture::eval_1d(self.scene, id, &self.place)
     }
 
-    /// The BSDF of material `id` at `hit`, whose frame is bent as the material wants it.
-    pub(crate) fn bsdf(&self, id: MaterialId, hit: &mut SurfaceHit) -> Bsdf<'a> {
+    /// The BSDF of material `id`.
+    pub(crate) fn bsdf(&mut self, id: MaterialId) -> Bsdf<'a> {
         match &self.scene.materials[id.0].model {
             Model::Null => Bsdf::new(bxdf::Model::Null),
             Model::Diffuse { reflectance } => bxdf::Diffuse { reflectance: self.unit(*reflectance) }.into(),
@@ -120,33 +126,33 @@ impl<'a> Shader<'a> {
             }
             Model::Principled(p) => self.principled(p).into(),
             Model::TwoSided { front, back } => {
-                let behind = hit.wo.dot(hit.frame.n) < 0.0;
+                let behind = self.hit.wo.dot(self.frame.n) < 0.0;
                 if behind {
-                    hit.frame = Frame { n: -hit.frame.n, ..hit.frame };
+                    self.frame.n = -self.frame.n;
                 }
-                self.bsdf(if behind { *back } else { *front }, hit)
+                self.bsdf(if behind { *back } else { *front })
             }
             Model::Mask { opacity, nested } => {
                 let opacity = self.number(*opacity);
-                self.bsdf(*nested, hit).with_opacity(opacity)
+                self.bsdf(*nested).with_opacity(opacity)
             }
             Model::BumpMap { height, scale, nested } => {
-                bump(hit, texture::gradient(self.scene, *height, &self.place) * *scale);
-                self.bsdf(*nested, hit)
+                self.bump(texture::gradient(self.scene, *height, &self.place) * *scale);
+                self.bsdf(*nested)
             }
             Model::NormalMap { normals, scale, nested } => {
                 let n = self.rgb(*normals) * 2.0 - Rgb::ONE;
-                bend(hit, hit.frame.to_world(Vec3::new(n.x * scale, n.y * scale, n.z)));
-                self.bsdf(*nested, hit)
+                self.bend(self.frame.to_world(Vec3::new(n.x * scale, n.y * scale, n.z)));
+                self.bsdf(*nested)
             }
             Model::Blend { weight, first, second } => {
                 let weight = self.number(*weight).clamp(0.0, 1.0);
                 match weight {
-                    0.0 => self.bsdf(*first, hit),
-                    1.0 => self.bsdf(*second, hit),
+                    0.0 => self.bsdf(*first),
+                    1.0 => self.bsdf(*second),
                     _ => {
-                        let first = self.bsdf(*first, hit);
-                        let second = self.bsdf(*second, &mut hit.clone());
+                        let first = self.bsdf(*first);
+                        let second = self.clone().bsdf(*second);
                         Box::new(bxdf::Blend { weight, first, second }).into()
                     }
                 }
@@ -187,21 +193,21 @@ impl<'a> Shader<'a> {
             clearcoat_gloss: number(p.clearcoat_gloss),
         }
     }
-}
 
-/// Bends the frame to the height field of this gradient (by u and v).
-fn bump(hit: &mut SurfaceHit, gradient: glam::Vec2) {
-    let n = hit.frame.n;
-    let lift = |d: Vec3, slope: f32| d + n * (slope - n.dot(d));
-    let bent = lift(hit.dp_du, gradient.x).cross(lift(hit.dp_dv, gradient.y));
-    bend(hit, if bent.dot(n) < 0.0 { -bent } else { bent });
-}
+    /// Bends the frame to the height field of this gradient (by u and v).
+    fn bump(&mut self, gradient: glam::Vec2) {
+        let n = self.frame.n;
+        let lift = |d: Vec3, slope: f32| d + n * (slope - n.dot(d));
+        let bent = lift(self.hit.dp_du, gradient.x).cross(lift(self.hit.dp_dv, gradient.y));
+        self.bend(if bent.dot(n) < 0.0 { -bent } else { bent });
+    }
 
-/// Makes `normal`, of any length, the shading normal.
-fn bend(hit: &mut SurfaceHit, normal: Vec3) {
-    if let Some(n) = normal.try_normalize() {
-        hit.unbent = Some(hit.frame.n);
-        hit.frame = Frame::from_normal_tangent(n, hit.dp_du);
+    /// Makes `normal`, of any length, the shading normal.
+    fn bend(&mut self, normal: Vec3) {
+        if let Some(n) = normal.try_normalize() {
+            self.unbent = Some(self.frame.n);
+            self.frame = Frame::from_normal_tangent(n, self.hit.dp_du);
+        }
     }
 }
 

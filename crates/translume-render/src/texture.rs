@@ -75,29 +75,33 @@ fn cell_of(bitmap: &Bitmap, uv: Vec2) -> ([i64; 2], Vec2) {
 
 #[inline]
 fn corners(bitmap: &Bitmap, [x, y]: [i64; 2]) -> [Rgb; 4] {
-    [(x, y), (x.saturating_add(1), y), (x, y.saturating_add(1)), (x.saturating_add(1), y.saturating_add(1))]
-        .map(|(x, y)| texel(bitmap, x, y))
+    let (w, h) = bitmap.image.pixels.dimensions();
+    let (x1, y1) = (x.saturating_add(1), y.saturating_add(1));
+    if x >= 0 && y >= 0 && x1 < w.into() && y1 < h.into() {
+        let at = y as usize * w as usize + x as usize;
+        return [at, at + 1, at + w as usize, at + w as usize + 1].map(|i| value(bitmap, i));
+    }
+    [(x, y), (x1, y), (x, y1), (x1, y1)].map(|(x, y)| texel(bitmap, x, y))
 }
 
-#[inline]
 fn texel(bitmap: &Bitmap, x: i64, y: i64) -> Rgb {
     let (w, h) = bitmap.image.pixels.dimensions();
-    let (x, y) = match (wrapped(x, w.into(), bitmap.wrap[0]), wrapped(y, h.into(), bitmap.wrap[1])) {
-        (Ok(x), Ok(y)) => (x, y),
-        (Err(outside), _) | (_, Err(outside)) => return outside * bitmap.scale,
-    };
-    let i = y * w as usize + x;
+    match (wrapped(x, w.into(), bitmap.wrap[0]), wrapped(y, h.into(), bitmap.wrap[1])) {
+        (Ok(x), Ok(y)) => value(bitmap, y * w as usize + x),
+        (Err(outside), _) | (_, Err(outside)) => outside * bitmap.scale,
+    }
+}
+
+/// Of pixel number `i`.
+#[inline]
+fn value(bitmap: &Bitmap, i: usize) -> Rgb {
+    let p = &bitmap.image.pixels.as_raw()[3 * i..3 * i + 3];
     let value = match bitmap.channel {
         Channel::Alpha => Rgb::splat(bitmap.image.alpha.as_ref().map_or(1.0, |a| a[i])),
-        channel => {
-            let p = &bitmap.image.pixels.as_raw()[3 * i..3 * i + 3];
-            match channel {
-                Channel::Red => Rgb::splat(p[0]),
-                Channel::Green => Rgb::splat(p[1]),
-                Channel::Blue => Rgb::splat(p[2]),
-                _ => Rgb::new(p[0], p[1], p[2]),
-            }
-        }
+        Channel::Red => Rgb::splat(p[0]),
+        Channel::Green => Rgb::splat(p[1]),
+        Channel::Blue => Rgb::splat(p[2]),
+        _ => Rgb::new(p[0], p[1], p[2]),
     };
     value * bitmap.scale
 }

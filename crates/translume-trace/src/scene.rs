@@ -23,6 +23,8 @@ pub struct Instance {
 pub struct Scene {
     instances: Vec<Instance>,
     object_from_world: Vec<DAffine3>,
+    /// Which instances stand where their geometry is.
+    in_place: Vec<bool>,
     bvh: Bvh,
     order: Vec<u32>,
     level: Level,
@@ -49,7 +51,8 @@ impl Scene {
             Child::leaf(false, order.len() - ids.len(), ids.len())
         });
         let object_from_world = instances.iter().map(|i| i.world_from_object.inverse()).collect();
-        Ok(Self { instances, object_from_world, bvh, order, level: Level::detect() })
+        let in_place = instances.iter().map(|i| i.world_from_object == DAffine3::IDENTITY).collect();
+        Ok(Self { instances, object_from_world, in_place, bvh, order, level: Level::detect() })
     }
 
     /// A scene of one geometry where it stands.
@@ -70,6 +73,12 @@ impl Scene {
     #[inline]
     pub fn object_from_world(&self, instance: u32) -> &DAffine3 {
         &self.object_from_world[instance as usize]
+    }
+
+    /// Whether an instance stands where its geometry is.
+    #[inline]
+    pub fn is_in_place(&self, instance: u32) -> bool {
+        self.in_place[instance as usize]
     }
 
     /// Box of what can be hit.
@@ -108,10 +117,10 @@ impl Scene {
     /// The ray in an instance's own space, with the same parameters; `None` when it is not finite there.
     #[inline(always)]
     fn object_ray(&self, instance: usize, ray: &Ray) -> Option<Ray> {
-        let m = &self.object_from_world[instance];
-        if *m == DAffine3::IDENTITY {
+        if self.in_place[instance] {
             return Some(*ray);
         }
+        let m = &self.object_from_world[instance];
         // Double precision leaves one rounding per component.
         let o = m.transform_point3(ray.o.as_dvec3()).as_vec3();
         let d = m.transform_vector3(ray.d.as_dvec3()).as_vec3();
@@ -124,14 +133,22 @@ impl Scene {
 fn closest<L: Lanes>(scene: &Scene, ray: &Ray) -> Option<Hit> {
     let mut visitor = Closest { scene, ray, best: None };
     let mut t_max = ray.t_max;
+    if scene.order.len() == 1 {
+        // No tree over one instance.
+        Visitor::<L>::leaf(&mut visitor, Child::leaf(false, 0, 1), &mut t_max);
+        return visitor.best;
+    }
     scene.bvh.traverse::<L, true>(ray, &mut t_max, &mut visitor);
     visitor.best
 }
 
 #[inline(always)]
 fn any<L: Lanes>(scene: &Scene, ray: &Ray) -> bool {
-    let mut t_max = ray.t_max;
-    scene.bvh.traverse::<L, false>(ray, &mut t_max, &mut Any { scene, ray })
+    let (mut t_max, mut visitor) = (ray.t_max, Any { scene, ray });
+    if scene.order.len() == 1 {
+        return Visitor::<L>::leaf(&mut visitor, Child::leaf(false, 0, 1), &mut t_max);
+    }
+    scene.bvh.traverse::<L, false>(ray, &mut t_max, &mut visitor)
 }
 
 /// Box of the instance in the world, widened by the roundings of rays on their way into it; `None` when it cannot be hit.

@@ -53,19 +53,19 @@ impl SurfacePoint {
 impl Geometry {
     /// The point of `hit`, which `ray` found in this geometry.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> SurfacePoint {
-        self.surface_in_world(ray, hit, &DAffine3::IDENTITY, &DAffine3::IDENTITY)
+        self.surface_in_world(ray, hit, true, &DAffine3::IDENTITY, &DAffine3::IDENTITY)
     }
 
-    /// `ray` is in the object's space; the transforms are each other's inverse.
+    /// `ray` is in the object's space; the transforms are each other's inverse, and the identity if `in_place`.
     fn surface_in_world(
         &self,
         ray: &Ray,
         hit: &Hit,
+        in_place: bool,
         world_from_object: &DAffine3,
         object_from_world: &DAffine3,
     ) -> SurfacePoint {
         let shape = &self.shapes()[hit.part as usize];
-        let in_place = *world_from_object == DAffine3::IDENTITY;
         // Position, normal (of any length) and how far the parts that enter the hit's rounding are away, in the world.
         let (p, normal, reach) = match (shape, shape.quadric()) {
             (Shape::Mesh(mesh), _) => {
@@ -108,7 +108,8 @@ impl Scene {
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> SurfacePoint {
         let instance = &self.instances()[hit.instance as usize];
         let object_from_world = self.object_from_world(hit.instance);
-        let object_ray = match *object_from_world == DAffine3::IDENTITY {
+        let in_place = self.is_in_place(hit.instance);
+        let object_ray = match in_place {
             true => *ray,
             false => Ray {
                 o: object_from_world.transform_point3(ray.o.as_dvec3()).as_vec3(),
@@ -116,6 +117,6 @@ impl Scene {
                 ..*ray
             },
         };
-        instance.geometry.surface_in_world(&object_ray, hit, &instance.world_from_object, object_from_world)
+        instance.geometry.surface_in_world(&object_ray, hit, in_place, &instance.world_from_object, object_from_world)
     }
 }

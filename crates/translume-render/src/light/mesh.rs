@@ -4,12 +4,13 @@
 //! half of the points of a closed mesh face away from where they are wanted; only under similarities does one table of
 //! areas serve all places.
 
-use crate::light::shape::{Place3, mesh_place, rounding};
+use crate::light::shape::{Place3, mesh_place, radiance, rounding};
 use glam::{DAffine3, Vec2, Vec3};
 use std::sync::Arc;
 use translume_core::distribution::Piecewise1d;
 use translume_core::warp;
 use translume_mesh::{Bounds, TriMesh};
+use translume_scene::{Scene, TextureId};
 use translume_trace::SurfacePoint;
 
 /// The triangles of a mesh by their areas, shared by all its places.
@@ -68,7 +69,7 @@ impl MeshLight {
     }
 
     /// A point, uniform by area, with the normal on the bright side.
-    pub(crate) fn place(&self, u: Vec2) -> Place3 {
+    pub(crate) fn place(&self, scene: &Scene, texture: TextureId, u: Vec2) -> Place3 {
         let (face, _, x) = self.faces.by_area.sample_discrete(u.x);
         let mesh = &self.faces.mesh;
         let b = warp::uniform_triangle(x, u.y);
@@ -80,7 +81,7 @@ impl MeshLight {
         Place3 {
             point: SurfacePoint { p: q, ng: n, error: rounding(q, reach) },
             pdf_a: 1.0 / self.area,
-            place: mesh_place(mesh, face as u32, b),
+            radiance: radiance(scene, texture, || mesh_place(mesh, face as u32, b)),
         }
     }
 }

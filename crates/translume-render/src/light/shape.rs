@@ -49,7 +49,13 @@ pub(crate) struct Quadric {
 pub(crate) struct Place3 {
     pub(super) point: SurfacePoint,
     pub(super) pdf_a: f32,
-    pub(super) place: Place,
+    pub(super) radiance: Rgb,
+}
+
+/// What a light emits where `place` says; most lights are the same everywhere and need not be asked where.
+#[inline]
+pub(super) fn radiance(scene: &Scene, id: TextureId, place: impl FnOnce() -> Place) -> Rgb {
+    scene.constant(id).unwrap_or_else(|| texture::eval(scene, id, &place()))
 }
 
 impl ShapeLight {
@@ -89,18 +95,17 @@ impl ShapeLight {
             && let Some((wi, pdf_w, q)) = sample_cone(p, *center, *radius, u)
         {
             let point = SurfacePoint { p: q, ng: (q - *center) / *radius, error: rounding(q, *radius) };
-            let place = Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
-            let radiance = texture::eval(scene, self.radiance, &place);
+            let place = || Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
+            let radiance = radiance(scene, self.radiance, place);
             return Some(LightSample { wi, radiance, pdf_w, delta: false, end: End::Surface(point) });
         }
-        let Place3 { point, pdf_a, place } = self.place(u);
+        let Place3 { point, pdf_a, radiance } = self.place(scene, u);
         let way = point.p - p;
         let wi = way.try_normalize()?;
         let cos = -wi.dot(point.ng);
         if cos <= 0.0 {
             return None;
         }
-        let radiance = texture::eval(scene, self.radiance, &place);
         let pdf_w = pdf_a * way.length_squared() / cos;
         Some(LightSample { wi, radiance, pdf_w, delta: false, end: End::Surface(point) })
     }
@@ -133,35 +138,38 @@ impl ShapeLight {
 
     /// A point of the light.
     #[inline]
-    fn place(&self, u: Vec2) -> Place3 {
+    fn place(&self, scene: &Scene, u: Vec2) -> Place3 {
         match &self.form {
             Form::Triangle { p, e1, e2, n, area, mesh, face } => {
                 let b = warp::uniform_triangle(u.x, u.y);
                 let q = *p + *e1 * b.x + *e2 * b.y;
                 let reach = e1.abs().max(e2.abs()).max_element();
                 let point = SurfacePoint { p: q, ng: *n, error: rounding(q, 4.0 * reach + p.abs().max_element()) };
-                Place3 { point, pdf_a: 1.0 / area, place: mesh_place(mesh, *face, b) }
+                let radiance = radiance(scene, self.radiance, || mesh_place(mesh, *face, b));
+                Place3 { point, pdf_a: 1.0 / area, radiance }
             }
             Form::Sphere { center, radius, object_from_world } => {
                 let n = warp::uniform_sphere(u.x, u.y);
                 let q = *center + n * *radius;
                 let point = SurfacePoint { p: q, ng: n, error: rounding(q, center.abs().max_element() + *radius) };
-                let place = Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
-                Place3 { point, pdf_a: 1.0 / (2.0 * TAU * radius * radius), place }
+                let place = || Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
+                let radiance = radiance(scene, self.radiance, place);
+                Place3 { point, pdf_a: 1.0 / (2.0 * TAU * radius * radius), radiance }
             }
             Form::Quadric(quadric) => {
                 let (object, normal, uv) = quadric.uniform(u);
                 let q = quadric.world_from_object.transform_point3(object).as_vec3();
                 let ng = quadric.normal(normal).normalize_or(DVec3::Z).as_vec3();
                 let point = SurfacePoint { p: q, ng, error: rounding(q, 4.0 * q.abs().max_element()) };
-                Place3 { point, pdf_a: quadric.pdf_a(normal), place: Place { uv, color: Rgb::ONE } }
+                let radiance = radiance(scene, self.radiance, || Place { uv, color: Rgb::ONE });
+                Place3 { point, pdf_a: quadric.pdf_a(normal), radiance }
             }
-            Form::Mesh(m) => m.place(u),
+            Form::Mesh(m) => m.place(scene, self.radiance, u),
         }
     }
 
     pub(crate) fn start(&self, scene: &Scene, u: Vec2, v: Vec2) -> Option<LightStart> {
-        let Place3 { point, pdf_a, place } = self.place(u);
+        let Place3 { point, pdf_a, radiance } = self.place(scene, u);
         let local = warp::cosine_hemisphere(v.x, v.y);
         let pdf_w = warp::cosine_hemisphere_pdf(local);
         (pdf_w > 0.0).then(|| LightStart {
@@ -169,7 +177,7 @@ impl ShapeLight {
             p: point.p,
             n: point.ng,
             direction: Frame::from_normal(point.ng).to_world(local),
-            radiance: texture::eval(scene, self.radiance, &place),
+            radiance,
             choice: 1.0,
             pdf_a,
             pdf_w,

@@ -1,15 +1,18 @@
 //! A tree over lights that chooses one for a point with a chance that follows its contribution there.
 //!
 //! Source: Conty Estevez & Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", without the
-//! splitting, with the bounds as in pbrt-v4: each node keeps a box, a power, and a cone of normals; the importance of a node
-//! is a bound of power · cosines / distance², and a descent chooses children in proportion. The chance of a light is zero only
-//! where it contributes nothing, so sampling stays unbiased, and is told for any light by walking its path again.
+//! splitting, with the bounds as in pbrt-v4: of each child a node keeps a sphere, a power, and a cone of normals; the
+//! importance of a child is a bound of power · cosines / distance², and a descent chooses children in proportion. The chance of
+//! a light is zero only where it contributes nothing, so sampling stays unbiased, and is told for any light by walking its path
+//! again.
 //!
-//! Deviation: the cosine at the receiver counts one side only (the caller gives no normal where light passes through).
+//! Deviations: the cosine at the receiver counts one side only (the caller gives no normal where light passes through); nodes
+//! have four children, whose importances are computed at once.
 
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI};
 use translume_mesh::Bounds;
+use wide::f32x4;
 
 /// What is known of a light, or of many.
 #[derive(Clone, Copy, Debug)]
@@ -62,92 +65,97 @@ fn angle(a: Vec3, b: Vec3) -> f32 {
     2.0 * (a - b).length().atan2((a + b).length())
 }
 
+/// Four children, a lane each. Missing ones have no power.
 #[derive(Clone, Copy, Debug)]
 struct Node {
-    center: Vec3,
-    /// Half the diagonal of the box.
-    radius: f32,
-    lo: Vec3,
-    hi: Vec3,
-    axis: Vec3,
-    power: f32,
-    sin_o: f32,
-    cos_o: f32,
-    cos_e: f32,
-    /// Of inner nodes the second child (the first follows its parent); of leaves the light.
-    index: u32,
-    leaf: bool,
+    center: [f32x4; 3],
+    /// Square of half the diagonal of the box.
+    radius2: f32x4,
+    axis: [f32x4; 3],
+    power: f32x4,
+    sin_o: f32x4,
+    cos_o: f32x4,
+    cos_e: f32x4,
+    children: [Child; 4],
+}
+
+/// A node, or (highest bit) a light.
+#[derive(Clone, Copy, Debug)]
+struct Child(u32);
+
+impl Child {
+    const LIGHT: u32 = 1 << 31;
+
+    fn light(self) -> Option<usize> {
+        (self.0 & Self::LIGHT != 0).then_some((self.0 & !Self::LIGHT) as usize)
+    }
 }
 
 impl Node {
-    fn new(b: &LightBounds, index: u32, leaf: bool) -> Self {
-        let (sin_o, cos_o) = b.theta_o.sin_cos();
+    /// Of at most four children.
+    fn new(of: &[(LightBounds, Child)]) -> Self {
+        let lanes = |f: &dyn Fn(&LightBounds) -> f32| {
+            f32x4::new(std::array::from_fn(|lane| of.get(lane).map_or(0.0, |(bounds, _)| f(bounds))))
+        };
         Self {
-            center: b.bounds.center(),
-            radius: 0.5 * b.bounds.extent().length(),
-            lo: b.bounds.lo,
-            hi: b.bounds.hi,
-            axis: b.axis,
-            power: b.power,
-            sin_o,
-            cos_o: if b.theta_o >= PI { -1.0 } else { cos_o },
-            cos_e: b.theta_e.cos(),
-            index,
-            leaf,
+            center: [0, 1, 2].map(|k| lanes(&|b| b.bounds.center()[k])),
+            radius2: lanes(&|b| 0.25 * b.bounds.extent().length_squared()),
+            axis: [0, 1, 2].map(|k| lanes(&|b| b.axis[k])),
+            power: lanes(&|b| b.power),
+            sin_o: lanes(&|b| b.theta_o.sin()),
+            cos_o: lanes(&|b| if b.theta_o >= PI { -1.0 } else { b.theta_o.cos() }),
+            cos_e: lanes(&|b| b.theta_e.cos()),
+            children: std::array::from_fn(|lane| of.get(lane).map_or(Child(0), |c| c.1)),
         }
     }
 
-    /// A bound of the contribution at `p`, whose receiving normal is `n` (zero: receives from everywhere).
+    /// Bounds of the children's contributions at `p`, whose receiving normal is `n` (zero: receives from everywhere).
     #[inline]
-    fn importance(&self, p: Vec3, n: Vec3) -> f32 {
-        let to_center = self.center - p;
-        let d2 = to_center.length_squared();
-        let distance2 = d2.max(self.radius * self.radius).max(1e-30);
-        let inside = p.cmpge(self.lo).all() && p.cmple(self.hi).all();
-        // The box is seen under the half angle θ_b.
-        let (sin_b, cos_b) = if inside || d2 <= self.radius * self.radius {
-            (0.0, -1.0)
-        } else {
-            let sin2 = self.radius * self.radius / d2;
-            (sin2.sqrt(), (1.0 - sin2).max(0.0).sqrt())
-        };
-        let wi = to_center / d2.max(1e-30).sqrt();
-        let mut importance = self.power / distance2;
-        if cos_b > -1.0 {
-            // θ' = θ_w − θ_o − θ_b, the least angle between a normal and the way to p.
-            let cos_w = (-wi).dot(self.axis).clamp(-1.0, 1.0);
-            let sin_w = (1.0 - cos_w * cos_w).sqrt();
-            let (cos_x, sin_x) = less(cos_w, sin_w, self.cos_o, self.sin_o);
-            let (cos, _) = less(cos_x, sin_x, cos_b, sin_b);
-            if cos <= self.cos_e {
-                return 0.0;
-            }
-            importance *= cos.max(1e-3); // lights that shine beyond 90° from their normals
-            if n != Vec3::ZERO {
-                let cos_i = wi.dot(n).clamp(-1.0, 1.0);
-                let (cos, _) = less(cos_i, (1.0 - cos_i * cos_i).sqrt(), cos_b, sin_b);
-                importance *= cos.max(0.0);
-            }
+    fn importance(&self, p: Vec3, n: Vec3) -> [f32; 4] {
+        let [x, y, z] = [self.center[0] - p.x, self.center[1] - p.y, self.center[2] - p.z];
+        let d2 = x * x + y * y + z * z;
+        let inverse = 1.0 / d2.fast_max(self.radius2).fast_max(f32x4::splat(1e-30)).sqrt();
+        // The child is seen under the half angle θ_b.
+        let sin2_b = self.radius2 * (inverse * inverse);
+        let b = (root(1.0 - sin2_b), sin2_b.sqrt());
+        // θ' = θ_w − θ_o − θ_b, the least angle between a normal and the way to p.
+        let cos_w = -(x * self.axis[0] + y * self.axis[1] + z * self.axis[2]) * inverse;
+        let cos = less(less((cos_w, sine(cos_w)), (self.cos_o, self.sin_o)), b).0;
+        let bound = cos.fast_max(f32x4::splat(1e-3)); // some shine beyond 90° from their normals
+        let mut directed = cos.simd_gt(self.cos_e) & bound;
+        if n != Vec3::ZERO {
+            let cos_i = (x * n.x + y * n.y + z * n.z) * inverse;
+            directed *= less((cos_i, sine(cos_i)), b).0.fast_max(f32x4::ZERO);
         }
-        importance
+        // From inside the sphere around the child nothing is known of directions.
+        let known = d2.simd_gt(self.radius2).bitselect(directed, f32x4::ONE);
+        (self.power * (inverse * inverse) * known).to_array()
     }
 }
 
+#[inline(always)]
+fn root(x: f32x4) -> f32x4 {
+    x.fast_max(f32x4::ZERO).sqrt()
+}
+
+#[inline(always)]
+fn sine(cosine: f32x4) -> f32x4 {
+    root(1.0 - cosine * cosine)
+}
+
 /// Cosine and sine of max(0, a − b).
-#[inline]
-fn less(cos_a: f32, sin_a: f32, cos_b: f32, sin_b: f32) -> (f32, f32) {
-    if cos_a > cos_b {
-        (1.0, 0.0)
-    } else {
-        ((cos_a * cos_b + sin_a * sin_b).min(1.0), (sin_a * cos_b - cos_a * sin_b).max(0.0))
-    }
+#[inline(always)]
+fn less((cos_a, sin_a): (f32x4, f32x4), (cos_b, sin_b): (f32x4, f32x4)) -> (f32x4, f32x4) {
+    let (cos, sin) = (cos_a * cos_b + sin_a * sin_b, (sin_a * cos_b - cos_a * sin_b).fast_max(f32x4::ZERO));
+    let within = cos_a.simd_gt(cos_b);
+    (within.bitselect(f32x4::ONE, cos), within.bitselect(f32x4::ZERO, sin))
 }
 
 /// The tree. Lights of no power are not in it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LightTree {
     nodes: Vec<Node>,
-    /// Per light the way down to it, one bit a level from the lowest (0: first child); `None`: not in the tree.
+    /// Per light the way down to it, two bits a level from the lowest; `None`: not in the tree.
     trails: Vec<Option<u64>>,
 }
 
@@ -163,7 +171,7 @@ impl LightTree {
             .filter_map(|(i, b)| b.map(|b| (i as u32, b)))
             .filter(|(_, b)| b.power > 0.0 && b.power.is_finite() && !b.bounds.is_empty())
             .collect();
-        let mut tree = Self { nodes: Vec::with_capacity(2 * items.len()), trails: vec![None; lights.len()] };
+        let mut tree = Self { nodes: Vec::with_capacity(items.len()), trails: vec![None; lights.len()] };
         if !items.is_empty() {
             tree.build(&mut items, 0, 0);
         }
@@ -174,45 +182,51 @@ impl LightTree {
         self.nodes.is_empty()
     }
 
+    /// Appends the node of `items`, which is `depth` bits down along `trail`, and all below it.
     fn build(&mut self, items: &mut [(u32, LightBounds)], trail: u64, depth: u32) -> LightBounds {
-        if let [(light, bounds)] = items {
-            self.trails[*light as usize] = Some(trail);
-            self.nodes.push(Node::new(bounds, *light, true));
-            return *bounds;
-        }
-        let middle = split(items, depth);
         let at = self.nodes.len();
-        self.nodes.push(Node::new(&items[0].1, 0, false)); // replaced below
-        let (first, second) = items.split_at_mut(middle);
-        let a = self.build(first, trail, depth + 1);
-        let second_at = self.nodes.len() as u32;
-        let b = self.build(second, trail | 1 << depth, depth + 1);
-        let joined = a.join(&b);
-        self.nodes[at] = Node::new(&joined, second_at, false);
-        joined
+        self.nodes.push(Node::new(&[])); // replaced below
+        let mut children = Vec::with_capacity(4);
+        for part in halves(items, depth).into_iter().flat_map(|half| halves(half, depth + 1)) {
+            let trail = trail | (children.len() as u64) << depth;
+            children.push(match part {
+                [(light, bounds)] => {
+                    self.trails[*light as usize] = Some(trail);
+                    (*bounds, Child(Child::LIGHT | *light))
+                }
+                _ => {
+                    let child = Child(self.nodes.len() as u32);
+                    (self.build(part, trail, depth + 2), child)
+                }
+            });
+        }
+        self.nodes[at] = Node::new(&children);
+        children[1..].iter().fold(children[0].0, |all, (bounds, _)| all.join(bounds))
     }
 
     /// Chooses a light for the point `p` with normal `n`; its number and its probability. `None`: none contributes.
     #[inline]
     pub(crate) fn sample(&self, p: Vec3, n: Vec3, u: f32) -> Option<(usize, f32)> {
-        if self.nodes.is_empty() {
-            return None;
-        }
-        let (mut at, mut u, mut pmf) = (0, u, 1.0);
+        let (mut node, mut u, mut pmf) = (self.nodes.first()?, u, 1.0);
         loop {
-            let node = &self.nodes[at];
-            if node.leaf {
-                // A root that is a leaf has not been asked whether it contributes.
-                return (at > 0 || node.importance(p, n) > 0.0).then_some((node.index as usize, pmf));
+            let importance = node.importance(p, n);
+            let total: f32 = importance.iter().sum();
+            if !(total > 0.0 && total < f32::INFINITY) {
+                return None;
             }
-            let first = self.first_share(at, p, n)?;
-            if u < first {
-                (u, pmf, at) = (u / first, pmf * first, at + 1);
-            } else {
-                let rest = 1.0 - first;
-                (u, pmf, at) = ((u - first) / rest, pmf * rest, node.index as usize);
+            let (mut lane, mut rest) = (0, u * total);
+            // The last one of any importance takes what rounding leaves.
+            while rest >= importance[lane] && importance[lane + 1..].iter().any(|&w| w > 0.0) {
+                rest -= importance[lane];
+                lane += 1;
             }
-            u = u.min(translume_core::warp::ONE_MINUS_EPSILON);
+            pmf *= importance[lane] / total;
+            let child = node.children[lane];
+            if let Some(light) = child.light() {
+                return Some((light, pmf));
+            }
+            u = (rest / importance[lane]).min(translume_core::warp::ONE_MINUS_EPSILON);
+            node = &self.nodes[child.0 as usize];
         }
     }
 
@@ -220,28 +234,33 @@ impl LightTree {
     #[inline]
     pub(crate) fn probability(&self, p: Vec3, n: Vec3, light: usize) -> f32 {
         let Some(Some(mut trail)) = self.trails.get(light).copied() else { return 0.0 };
-        let (mut at, mut pmf) = (0, 1.0);
+        let (mut node, mut pmf) = (&self.nodes[0], 1.0);
         loop {
-            let node = &self.nodes[at];
-            if node.leaf {
-                return if at > 0 || node.importance(p, n) > 0.0 { pmf } else { 0.0 };
-            }
-            let Some(first) = self.first_share(at, p, n) else { return 0.0 };
-            (pmf, at) = if trail & 1 == 0 { (pmf * first, at + 1) } else { (pmf * (1.0 - first), node.index as usize) };
-            trail >>= 1;
-            if pmf <= 0.0 {
+            let importance = node.importance(p, n);
+            let total: f32 = importance.iter().sum();
+            let lane = (trail & 3) as usize;
+            if !(importance[lane] > 0.0 && total < f32::INFINITY) {
                 return 0.0;
             }
+            pmf *= importance[lane] / total;
+            let child = node.children[lane];
+            if child.light().is_some() {
+                return pmf;
+            }
+            trail >>= 2;
+            node = &self.nodes[child.0 as usize];
         }
     }
+}
 
-    /// The share of the first child of the inner node `at`.
-    #[inline]
-    fn first_share(&self, at: usize, p: Vec3, n: Vec3) -> Option<f32> {
-        let a = self.nodes[at + 1].importance(p, n);
-        let b = self.nodes[self.nodes[at].index as usize].importance(p, n);
-        (a + b > 0.0).then(|| a / (a + b))
+/// `items` in two, reordered; one item stays alone.
+fn halves(items: &mut [(u32, LightBounds)], depth: u32) -> Vec<&mut [(u32, LightBounds)]> {
+    if items.len() < 2 {
+        return vec![items];
     }
+    let middle = split(items, depth);
+    let (first, second) = items.split_at_mut(middle);
+    vec![first, second]
 }
 
 /// Reorders `items` and returns where the second half begins: by the cost power · spread · area over the buckets of the

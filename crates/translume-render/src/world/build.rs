@@ -60,7 +60,6 @@ pub(super) fn world(scene: Arc<Scene>) -> Result<World> {
 
 fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
     let Parts { instances, bases, surfaces, lights, .. } = parts;
-    let moved = instances.iter().map(|i| i.world_from_object != DAffine3::IDENTITY).collect();
     let tracer = trace::Scene::new(instances)?;
     let bounds = tracer.bounds();
     let (center, radius) = match bounds.is_empty() {
@@ -76,7 +75,6 @@ fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
         tracer,
         surfaces,
         bases,
-        moved,
         reach: center.length() + radius,
         center,
         radius,

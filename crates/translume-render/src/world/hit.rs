@@ -37,8 +37,6 @@ pub struct SurfaceHit {
     pub(crate) color: Rgb,
     pub(crate) dp_du: Vec3,
     pub(crate) dp_dv: Vec3,
-    /// The frame's normal before a bump or normal map bent it.
-    pub(crate) unbent: Option<Vec3>,
 }
 
 /// A BSDF in its place: what [`translume_bxdf::Bsdf`] does, for directions of the world.
@@ -48,6 +46,7 @@ pub struct Shading<'a> {
     pub bsdf: Bsdf<'a>,
     /// The frame.
     pub frame: Frame,
+    /// The frame's normal before a bump or normal map bent it.
     pub(super) unbent: Option<Vec3>,
 }
 
@@ -130,7 +129,7 @@ impl World {
                 (place.moved(&object_from_geometry.matrix3.inverse().as_mat3()), Rgb::ONE)
             }
         };
-        if self.moved[hit.instance as usize] {
+        if !self.tracer.is_in_place(hit.instance) {
             local = local.moved(&self.tracer.instances()[hit.instance as usize].world_from_object.matrix3.as_mat3());
         }
         // The normal proper is on the side of the shading normals, as far as there are any.
@@ -158,7 +157,6 @@ impl World {
             color,
             dp_du: local.dp_du,
             dp_dv: local.dp_dv,
-            unbent: None,
         }
     }
 }

@@ -24,8 +24,6 @@ pub struct World {
     surfaces: Vec<Surface>,
     /// Per instance of the tracer: where its geometry's surfaces begin.
     bases: Vec<u32>,
-    /// Per instance: whether its transform is not the identity.
-    moved: Vec<bool>,
     prepared: Vec<Prepared>,
     lights: Lights,
     media: Vec<Tracked>,
@@ -114,11 +112,11 @@ impl World {
     /// The BSDF at `hit` with its frame.
     #[inline]
     pub fn shading(&self, hit: &SurfaceHit) -> Shading<'_> {
-        let mut hit = *hit;
         let surface = &self.surfaces[hit.surface as usize];
-        let shader = Shader { scene: &self.scene, prepared: &self.prepared, place: hit.place() };
-        let bsdf = shader.bsdf(surface.material, &mut hit);
-        Shading { bsdf, frame: hit.frame, unbent: hit.unbent }
+        let (scene, prepared) = (&self.scene, &self.prepared);
+        let mut shader = Shader { scene, prepared, hit, place: hit.place(), frame: hit.frame, unbent: None };
+        let bsdf = shader.bsdf(surface.material);
+        Shading { bsdf, frame: shader.frame, unbent: shader.unbent }
     }
 
     /// What [`World::shading`] is when the surface is seen from the direction `wo` instead; `own` is that of `hit` itself.
