@@ -10,8 +10,9 @@
 //! | `exponential`, `diffusion`, `curve` | the models |
 //! | `segments`, `fit`, `batch` | directions, one point, all points of a list |
 //! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
-//! | `simulate` | captures of slabs of heterogeneous media |
+//! | `simulate` | captures of slabs and solids of heterogeneous media |
 //! | `planar` | the exponential model of a flat sample, and its error |
+//! | `vertex` | the exponential model of an object: a fall-off for each vertex |
 //!
 //! This crate knows nothing about options, scenes or how a picture is rendered from a model.
 
@@ -28,6 +29,7 @@ pub mod planar;
 mod radial;
 mod segments;
 pub mod simulate;
+pub mod vertex;
 
 pub use batch::{FIT_VERSION, Sink, Summary, fit_file};
 pub use curve::{Curve, Evaluator, Exponentials};

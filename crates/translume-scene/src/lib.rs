@@ -37,6 +37,15 @@ pub use scene::{
 };
 use std::path::Path;
 
+/// Reads a Mitsuba `.vol` grid: its numbers and the box its file gives, from corner to corner.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Invalid`].
+pub fn read_grid(path: &Path) -> Result<(std::sync::Arc<medium::Grid>, [glam::DVec3; 2])> {
+    let loaded = vol::read(path)?;
+    Ok((loaded.grid, [loaded.lo, loaded.hi]))
+}
+
 /// Reads a scene: Mitsuba XML, glTF or pbrt-v4, told by its first character or its name.
 ///
 /// # Errors

@@ -9,7 +9,8 @@ use std::path::Path;
 use tempfile::tempdir;
 
 /// Nine laser positions on marble, coarse.
-const SMALL: [&str; 10] = ["scatter", "simulate", "marble", "--spots", "3", "--pixels", "24", "--spacing", "2", "-o"];
+const SMALL: [&str; 12] =
+    ["scatter", "simulate", "marble", "--spots", "3", "--pixels", "16", "--spacing", "2", "--thickness", "4", "-o"];
 
 fn simulate(dir: &Path, name: &str, more: &[&str]) -> common::Run {
     translume(dir, &[&SMALL[..], &[name], more].concat())
@@ -23,7 +24,7 @@ fn json(dir: &Path, arguments: &[&str]) -> Value {
 fn a_capture_becomes_a_model_and_a_report() {
     let dir = tempdir().unwrap();
     let dir = dir.path();
-    simulate(dir, "a b", &["--photons", "12000"]).ok();
+    simulate(dir, "a b", &["--photons", "1200"]).ok();
     let rig: Value = serde_json::from_str(&fs::read_to_string(dir.join("a b/rig.json")).unwrap()).unwrap();
     assert_eq!((&rig["provenance"]["simulated"]["medium"], &rig["units"]), (&"marble".into(), &"mm".into()));
     assert_eq!(rig["laser"]["hits_mm"].as_array().unwrap().len(), 9);
@@ -40,7 +41,7 @@ fn a_capture_becomes_a_model_and_a_report() {
     }
 
     // The same seed gives the same frames for any number of threads; another one does not.
-    let few = ["--photons", "300"];
+    let few = ["--photons", "20"];
     simulate(dir, "few", &few).ok();
     simulate(dir, "one", &[&few[..], &["--threads", "1"]].concat()).ok();
     simulate(dir, "other", &[&few[..], &["--seed", "2"]].concat()).ok();
@@ -51,11 +52,41 @@ fn a_capture_becomes_a_model_and_a_report() {
 }
 
 #[test]
+fn the_power_of_a_drifting_laser_is_found() {
+    let dir = tempdir().unwrap();
+    let dir = dir.path();
+    // Homogeneous, so that the brightness of frames tells their true power.
+    let common =
+        ["scatter", "simulate", "homogeneous", "--spots", "4", "--spacing", "2", "--pixels", "20", "--field", "14"];
+    translume(dir, &[&common[..], &["--photons", "600", "--drift", "0.2", "-o", "c"]].concat()).ok();
+    translume(dir, &["scatter", "fit", "c", "--gains", "-o", "m"]).ok();
+    let model: Value = serde_json::from_str(&fs::read_to_string(dir.join("m/model.json")).unwrap()).unwrap();
+    let light = |position: usize, channel: usize| {
+        let packed = fs::read(dir.join(format!("c/frames/c/0/{position}/{channel}/0/0"))).unwrap();
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes).unwrap();
+        bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).sum::<f64>()
+    };
+    for channel in 0..3 {
+        let (mut true_ln, mut found_ln) = (Vec::new(), Vec::new());
+        for (i, frame) in model["frames"].as_array().unwrap().iter().enumerate() {
+            true_ln.push(light(frame[1].as_u64().unwrap() as usize, channel).ln());
+            found_ln.push(model["gains"][i][channel].as_f64().unwrap().ln());
+        }
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let (t, f) = (mean(&true_ln), mean(&found_ln));
+        let square = |g: &dyn Fn(usize) -> f64| (0..true_ln.len()).map(|i| g(i).powi(2)).sum::<f64>();
+        let (left, all) = (square(&|i| true_ln[i] - t - found_ln[i] + f), square(&|i| true_ln[i] - t));
+        assert!(left < 0.25 * all, "{channel}: {left} of {all} are left");
+    }
+}
+
+#[test]
 fn each_rig_error_changes_what_it_should() {
     let dir = tempdir().unwrap();
     let dir = dir.path();
     let tiny =
-        |name: &str, more: &[&str]| simulate(dir, name, &[&["--noise-free", "--photons", "500"], more].concat()).ok();
+        |name: &str, more: &[&str]| simulate(dir, name, &[&["--noise-free", "--photons", "20"], more].concat()).ok();
     tiny("plain", &[]);
     let read = |name: &str, file: &str| fs::read(dir.join(name).join(file)).unwrap();
     for (switch, value, frames, mesh) in [
@@ -76,8 +107,8 @@ fn each_rig_error_changes_what_it_should() {
 fn damaged_captures_are_named() {
     let dir = tempdir().unwrap();
     let dir = dir.path();
-    simulate(dir, "c", &["--photons", "1000"]).ok();
-    let fit = |what: &str| translume(dir, &["scatter", "fit", "c", "-o", what]);
+    simulate(dir, "c", &["--photons", "300"]).ok();
+    let fit = |what: &str| translume(dir, &["scatter", "fit", "c", "--threshold", "0", "-o", what]);
     let edit = |file: &str, from: &str, to: &str, says: &str| {
         let path = dir.join("c").join(file);
         let text = fs::read_to_string(&path).unwrap();
@@ -87,15 +118,15 @@ fn damaged_captures_are_named() {
         assert!(error.contains(says), "{from} → {to}: {error}");
         fs::write(&path, text).unwrap();
     };
-    edit("rig.json", "\"version\": \"1.0\"", "\"version\": \"9.0\"", "version 9.0");
+    edit("rig.json", "\"version\": \"1.1\"", "\"version\": \"9.0\"", "version 9.0");
     edit("rig.json", "\"units\": \"mm\"", "\"units\": \"m\"", "not a translume capture in mm");
     edit("rig.json", "\"mesh.ply\"", "\"../mesh.ply\"", "inside the capture's folder");
     edit("rig.json", "\"name\": \"red\",", "", "name");
-    edit("rig.json", "\"width\": 24", "\"width\": 25", "24 × 24 pixels");
+    edit("rig.json", "\"width\": 16", "\"width\": 17", "16 × 16 pixels");
     edit("rig.json", "\"hits_mm\": [", "\"hits_mm\": [[0, 0, 0],", "10 laser positions");
     edit("frames/zarr.json", "float32", "int8", "float32 and float16");
     edit("frames/zarr.json", "gzip", "zstd", "codecs");
-    edit("frames/zarr.json", "24", "4000000000", "chunks are not one frame each");
+    edit("frames/zarr.json", "16", "4000000000", "chunks are not one frame each");
     assert!(!dir.join("m").exists());
 
     // A missing frame costs its laser position; a truncated one is an error.
@@ -112,11 +143,131 @@ fn damaged_captures_are_named() {
     let error = translume(dir, &["scatter", "report", "c", "m", "-o", "r"]).error(1);
     assert!(error.contains("not fitted to this capture"), "{error}");
 
-    // A surface that is not flat.
+    // A surface that is not flat, and that the pixels do not see.
     let mesh = "v 0 0 0\nv 5 0 0\nv 0 5 3\nf 1 2 3\n";
     fs::write(dir.join("c/mesh.obj"), mesh).unwrap();
-    edit("rig.json", "\"mesh.ply\"", "\"mesh.obj\"", "flat sample");
+    edit("rig.json", "\"mesh.ply\"", "\"mesh.obj\"", "enough pixels");
     for wrong in [&["--spots", "0"][..], &["--eta", "0.5"], &["--drift", "-1"], &["--beam", "0"]] {
         assert_eq!(simulate(dir, "w", wrong).status, 2, "{wrong:?}");
     }
+}
+
+/// An octahedron, each triangle in four parts three times over, on a sphere of radius 6: 258 vertices.
+fn sphere(path: &Path) {
+    let mut faces: Vec<[[f64; 3]; 3]> = Vec::new();
+    for signs in 0..8 {
+        let s = [0, 1, 2].map(|k| if signs >> k & 1 == 0 { 1.0 } else { -1.0 });
+        let mut face = [[s[0], 0.0, 0.0], [0.0, s[1], 0.0], [0.0, 0.0, s[2]]];
+        if s[0] * s[1] * s[2] < 0.0 {
+            face.swap(1, 2);
+        }
+        faces.push(face);
+    }
+    let middle = |a: [f64; 3], b: [f64; 3]| {
+        let m = [0, 1, 2].map(|i| a[i] + b[i]);
+        let n = m.iter().map(|x| x * x).sum::<f64>().sqrt();
+        m.map(|x| x / n)
+    };
+    for _ in 0..3 {
+        let split = |[a, b, c]: [[f64; 3]; 3]| {
+            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+            [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+        };
+        faces = faces.into_iter().flat_map(split).collect();
+    }
+    let mut text = String::new();
+    for (i, face) in faces.iter().enumerate() {
+        for p in face {
+            text += &format!("v {:.6} {:.6} {:.6}\n", 6.0 * p[0], 6.0 * p[1], 6.0 * p[2]);
+        }
+        text += &format!("f {} {} {}\n", 3 * i + 1, 3 * i + 2, 3 * i + 3);
+    }
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn a_mesh_is_captured_fitted_for_each_vertex_and_reported() {
+    let dir = tempdir().unwrap();
+    let dir = dir.path();
+    sphere(&dir.join("ball.obj"));
+    let small = ["--spacing", "4", "--pixels", "24", "--views", "3", "--photons", "300"];
+    let simulate = [&["scatter", "simulate", "homogeneous", "--mesh", "ball.obj", "-o", "c"][..], &small].concat();
+    let made = json(dir, &simulate);
+    let rig: Value = serde_json::from_str(&fs::read_to_string(dir.join("c/rig.json")).unwrap()).unwrap();
+    let positions = rig["laser"]["hits_mm"].as_array().unwrap().len();
+    assert_eq!((&made["positions"], &made["frames"]), (&positions.into(), &(positions * 6).into()));
+    // Three stops with two cameras: the frames of a position are those of its stop.
+    assert_eq!(rig["views"].as_array().unwrap().len(), 6);
+    let there = |view: usize| dir.join(format!("c/frames/c/{view}/0/1/0/0")).exists();
+    assert_eq!((0..6).map(there).collect::<Vec<_>>(), [true, true, false, false, false, false]);
+    let fitted = json(dir, &["scatter", "fit", "c", "--model", "exponential", "-o", "m"]);
+    let measured = fitted["measured"].as_u64().unwrap();
+    assert!(fitted["vertices"] == 258 && measured > 60 && measured < 258 && fitted["empty"] == 0, "{fitted}");
+    let model: Value = serde_json::from_str(&fs::read_to_string(dir.join("m/model.json")).unwrap()).unwrap();
+    // What no laser reached comes from its neighbours and says so.
+    let from_neighbours = |v: &&Value| v["position"].is_null();
+    let others: Vec<&Value> = model["vertices"].as_array().unwrap().iter().filter(from_neighbours).collect();
+    assert!(others.len() as u64 == 258 - measured && others[0]["fall_off"]["segments"][0]["c"][0].is_number());
+    let told = json(dir, &["scatter", "report", "c", "m", "-o", "r"]);
+    let green = |i: usize| told["models"][i]["ln_e"][1].as_f64().unwrap();
+    assert!(
+        told["models"][0]["model"] == "this model" && green(0) < 0.6 && (1..4).all(|i| green(i).is_finite()),
+        "{told}"
+    );
+    assert!(dir.join("r/samples.svg").exists() && dir.join("r/near.png").exists());
+
+    // A model of another capture, and options that objects do not have.
+    let error = translume(dir, &["scatter", "fit", "c", "--segments", "4", "-o", "n"]).error(2);
+    assert!(error.contains("flat samples"), "{error}");
+    let path = dir.join("m/model.json");
+    let text = fs::read_to_string(&path).unwrap();
+    for (from, to, says) in [
+        ("translume vertex model", "something", "not a model"),
+        ("\"version\":\"1.0\"", "\"version\":\"2.0\"", "version 2.0"),
+        ("\"texels_per_edge\":", "\"texels_per_edge\":9", "do not go"),
+        ("\"channels\":[\"red\"", "\"channels\":[\"teal\"", "not fitted to this capture"),
+    ] {
+        fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        let error = translume(dir, &["scatter", "report", "c", "m", "-o", "x"]).error(1);
+        assert!(error.contains(says), "{from}: {error}");
+    }
+}
+
+#[test]
+fn meshes_without_an_inside_are_refused() {
+    let dir = tempdir().unwrap();
+    let dir = dir.path();
+    fs::write(dir.join("open.obj"), "v 0 0 0\nv 5 0 0\nv 0 5 0\nv 0 0 5\nf 1 3 2\nf 1 2 4\nf 1 4 3\n").unwrap();
+    fs::write(dir.join("flat.obj"), "v 0 0 0\nv 5 0 0\nv 0 5 0\nf 1 2 3\nf 1 3 2\n").unwrap();
+    let run = |more: &[&str]| translume(dir, &[&["scatter", "simulate", "wax", "-o", "c"][..], more].concat());
+    assert!(run(&["--mesh", "open.obj"]).error(1).contains("closed surface"));
+    assert!(run(&["--mesh", "flat.obj"]).error(1).contains("flat.obj"));
+    assert!(run(&["--mesh", "open.obj", "--spots", "3"]).status == 2);
+    assert!(run(&["--grid", "no.vol"]).error(2).contains("go together"));
+    assert!(!dir.join("c").exists());
+}
+
+#[test]
+fn a_grid_is_a_medium() {
+    let dir = tempdir().unwrap();
+    let dir = dir.path();
+    // Two by one by one numbers: the left half scatters, the right half is empty.
+    let mut vol = b"VOL\x03".to_vec();
+    [1i32, 2, 1, 1, 1].iter().for_each(|n| vol.extend(n.to_le_bytes()));
+    [0.0f32, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0].iter().for_each(|x| vol.extend(x.to_le_bytes()));
+    fs::write(dir.join("two.vol"), vol).unwrap();
+    let capture = |name: &str, offset: &str| {
+        let common = ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--field", "16"];
+        let more = ["--photons", "200", "--noise-free", "--spots", "2", "--spacing", offset, "-o", name];
+        translume(dir, &[&common[..], &more].concat()).ok();
+    };
+    capture("c", "8");
+    // Where nothing scatters, nothing comes back: the frames of the right spots are darker.
+    let light = |position: usize| {
+        let packed = fs::read(dir.join(format!("c/frames/c/0/{position}/1/0/0"))).unwrap();
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes).unwrap();
+        bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).sum::<f64>()
+    };
+    assert!(light(0) > 5.0 * light(1), "{} {}", light(0), light(1));
 }

@@ -1,10 +1,12 @@
 //! Capture sets: pictures of an object lit by a narrow beam, point by point, with the rig that took them.
 
 mod rig;
+mod surface;
 mod zarr;
 
 pub use rig::{Camera, Channel, Laser, RIG_VERSION, Rig, View};
 pub(crate) use rig::{dot, norm, normalize, sub};
+pub use surface::{Place, Surface, Texels};
 pub use zarr::{DIMENSIONS, Frames};
 
 use std::path::{Path, PathBuf};
@@ -42,6 +44,13 @@ impl Capture {
         let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
         let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no triangles"))?;
         Ok(Self { path: path.to_owned(), rig, mesh, frames })
+    }
+
+    /// Whether the surface is the plane z = 0, but for 2 % of its width.
+    pub fn is_flat(&self) -> bool {
+        let bounds = self.mesh.bounds();
+        let width = (bounds.hi - bounds.lo).max_element();
+        bounds.lo.z.abs().max(bounds.hi.z.abs()) <= 0.02 * width // false for NaN
     }
 
     /// Writes rig and mesh into the folder `path` and makes an array for the frames.
@@ -82,7 +91,11 @@ fn check(file: &Path, rig: &Rig) -> Result<()> {
     if rig.laser.power.len() != rig.channels.len() || !rig.laser.power.iter().all(|p| *p > 0.0 && p.is_finite()) {
         return invalid("the laser needs one positive power for each channel");
     }
-    if rig.laser.hits_mm.iter().flatten().chain(&rig.laser.origin_mm).any(|x| !x.is_finite()) {
+    if !rig.laser.origins_mm.is_empty() && rig.laser.origins_mm.len() != rig.laser.hits_mm.len() {
+        return invalid("origins_mm needs one origin for each hit");
+    }
+    let places = rig.laser.hits_mm.iter().chain(&rig.laser.origins_mm).flatten();
+    if places.chain(&rig.laser.origin_mm).any(|x| !x.is_finite()) {
         return invalid("a position of the laser is not finite");
     }
     let channel = |c: &Channel| c.white_balance > 0.0 && c.noise_floor >= 0.0 && c.noise_floor.is_finite();

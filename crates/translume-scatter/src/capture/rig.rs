@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Version of the format; a reader refuses another major one.
-pub const RIG_VERSION: &str = "1.0";
+pub const RIG_VERSION: &str = "1.1";
 
 /// The whole rig.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,6 +75,9 @@ pub struct Camera {
 pub struct Laser {
     /// Where the beams come from.
     pub origin_mm: [f64; 3],
+    /// Where the beam of each hit comes from, where that is not the same for all: the turntable has moved.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub origins_mm: Vec<[f64; 3]>,
     /// Diameter of the beam on the object, where it has fallen to 1/e².
     pub beam_diameter_mm: f64,
     /// Power of each channel.
@@ -83,6 +86,13 @@ pub struct Laser {
     pub grid: [usize; 2],
     /// Where each beam hits the object, in the order of the frames' second dimension.
     pub hits_mm: Vec<[f64; 3]>,
+}
+
+impl Laser {
+    /// Where the beam of a position comes from.
+    pub fn origin(&self, position: usize) -> [f64; 3] {
+        *self.origins_mm.get(position).unwrap_or(&self.origin_mm)
+    }
 }
 
 impl Camera {

@@ -109,6 +109,11 @@ impl Frames {
         self.shape[3] * self.shape[4]
     }
 
+    /// Whether a frame was captured.
+    pub fn exists(&self, view: usize, position: usize, channel: usize) -> bool {
+        self.chunk(view, position, channel).exists()
+    }
+
     /// A frame, row by row; `None` where it was not captured.
     ///
     /// # Errors

@@ -34,6 +34,9 @@ pub struct ModelHead {
     pub channels: Vec<String>,
     /// View and laser position of each point's frames.
     pub frames: Vec<[usize; 2]>,
+    /// Power of the laser in each point's frame and channel, against what the rig says, where it was estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gains: Vec<Vec<f64>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -90,6 +93,10 @@ pub fn load_model(path: &Path, capture: &PlanarCapture) -> Result<(ModelHead, Pl
     let frames = capture.spots.iter().map(|s| s.frame);
     if !head.channels.iter().eq(channels.iter().copied()) || !frames.eq(head.frames.iter().copied()) {
         return Err(Error::invalid(&file, "it was not fitted to this capture: channels or laser positions differ"));
+    }
+    let gains = |g: &Vec<f64>| g.len() == channels.len() && g.iter().all(|g| *g > 0.0 && g.is_finite());
+    if !(head.gains.is_empty() || head.gains.len() == head.frames.len() && head.gains.iter().all(gains)) {
+        return Err(Error::invalid(&file, "its gains do not go with its frames and channels"));
     }
     if model.points.len() != head.frames.len() || !model.points.iter().all(fits) {
         return Err(Error::invalid(&file, "its points do not go with its frames and channels"));

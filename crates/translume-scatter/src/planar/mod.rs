@@ -3,10 +3,13 @@
 
 mod error;
 mod file;
+mod gains;
 mod model;
 mod samples;
 
 pub use error::{ErrorMap, Mean, error_map};
 pub use file::{MODEL_VERSION, ModelHead, load_model, save_model};
+pub use gains::estimate_gains;
+pub(crate) use model::fit_shared;
 pub use model::{LitPoint, PlanarModel, PlanarParams, fit_planar};
 pub use samples::{PlanarCapture, Spot, held_out};

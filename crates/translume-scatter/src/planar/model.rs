@@ -58,6 +58,13 @@ impl LitPoint {
     }
 }
 
+impl LitPoint {
+    /// R_d without texture, at (x, y) mm from the point; `None` without a fit.
+    pub fn value(&self, [x, y]: [f64; 2], channel: usize) -> Option<f64> {
+        self.evaluator(channel).map(|e| e([x + self.at_mm[0], y + self.at_mm[1]]))
+    }
+}
+
 impl PlanarModel {
     /// α R_d for all pixels of a spot's frame, 0 where there is no model.
     pub fn predict(&self, capture: &PlanarCapture, spot: usize, channel: usize) -> Vec<f64> {
@@ -80,7 +87,10 @@ pub fn fit_planar(capture: &PlanarCapture, params: &PlanarParams, progress: impl
         let samples = samples(capture, index, spot)?;
         progress();
         Ok(match params.shared {
-            true => fit_shared(fitter, spot, samples),
+            true => {
+                let (scale, fall_off) = fit_shared(fitter, &samples);
+                LitPoint { at_mm: spot.at, scale, fall_off: vec![fall_off] }
+            }
             false => LitPoint {
                 at_mm: spot.at,
                 scale: vec![1.0; samples.len()],
@@ -109,8 +119,8 @@ fn samples(capture: &PlanarCapture, index: usize, spot: &Spot) -> Result<Vec<Vec
 }
 
 /// One fall-off for all channels: factors by the mean logarithm over pixels that all channels see, a fit to all samples on the
-/// first channel's level, and factors again by the mean logarithm against the fit.
-fn fit_shared(fitter: &mut Fitter, spot: &Spot, samples: Vec<Vec<[f32; 3]>>) -> LitPoint {
+/// first channel's level, and factors again by the mean logarithm against the fit. `samples` are the same places in each channel.
+pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>]) -> (Vec<f64>, PointFit) {
     let channels = samples.len();
     let ratio = |c: usize| {
         let both = samples[0].iter().zip(&samples[c]).filter(|(a, b)| a[2] > 0.0 && b[2] > 0.0);
@@ -125,13 +135,13 @@ fn fit_shared(fitter: &mut Fitter, spot: &Spot, samples: Vec<Vec<[f32; 3]>>) -> 
         });
         fall_off = fitter.fit(&scaled.collect::<Vec<_>>());
         let Some(model) = fall_off.evaluator() else { break };
-        for (log, s) in logs.iter_mut().zip(&samples) {
+        for (log, s) in logs.iter_mut().zip(samples) {
             let lit = s.iter().filter(|s| s[2] > 0.0);
             let above = lit.map(|s| f64::from(s[2]).ln() - model.value(f64::from(s[0]), f64::from(s[1])).ln());
             *log = mean(above).unwrap_or(*log);
         }
     }
-    LitPoint { at_mm: spot.at, scale: logs.into_iter().map(f64::exp).collect(), fall_off: vec![fall_off] }
+    (logs.into_iter().map(f64::exp).collect(), fall_off)
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {

@@ -31,6 +31,8 @@ pub struct PlanarCapture {
     pub missing: usize,
     /// Multiple of the noise floor above which a pixel is a sample.
     pub threshold: f64,
+    /// Power of the laser in each spot's frame, per channel, against what the rig says; empty where it is taken to be right.
+    pub gains: Vec<Vec<f64>>,
     /// Where each pixel of each view is on the plane, in mm, and 1/F_t towards the camera.
     pixels: Vec<Vec<([f64; 2], f64)>>,
 }
@@ -48,11 +50,9 @@ impl PlanarCapture {
     /// [`Error::Unsupported`] for a surface that is not the plane z = 0; [`Error::Invalid`] without any laser position
     /// in view.
     pub fn new(capture: Capture, threshold: f64) -> Result<Self> {
-        let bounds = capture.mesh.bounds();
-        let (low, high) = (f64::from(bounds.lo.z), f64::from(bounds.hi.z));
-        let width = f64::from((bounds.hi - bounds.lo).max_element());
-        let flat = low.abs().max(high.abs()) <= 0.02 * width; // false for NaN
-        if !flat {
+        if !capture.is_flat() {
+            let bounds = capture.mesh.bounds();
+            let (low, high) = (bounds.lo.z, bounds.hi.z);
             return Err(Error::unsupported(
                 &capture.path.join(&capture.rig.mesh),
                 format!("the planar model needs a flat sample in z = 0; this one reaches from z = {low} to {high} mm"),
@@ -75,7 +75,7 @@ impl PlanarCapture {
         if spots.is_empty() {
             return Err(Error::invalid(&capture.path, "no laser position hits the surface inside a frame"));
         }
-        let mut planar = Self { capture, spots, missing: 0, threshold, pixels };
+        let mut planar = Self { capture, spots, missing: 0, threshold, gains: Vec::new(), pixels };
         planar.drop_missing()?;
         Ok(planar)
     }
@@ -114,7 +114,9 @@ impl PlanarCapture {
         let frame = self.capture.frames.read(spot.frame[0], spot.frame[1], channel)?;
         let frame = frame.ok_or_else(|| Error::invalid(&self.capture.path, "a frame vanished while it was read"))?;
         let rig = &self.capture.rig;
-        let scale = spot.gain * rig.channels[channel].white_balance / rig.laser.power[channel];
+        let drift = self.spots.iter().position(|s| s.frame == spot.frame).and_then(|i| self.gains.get(i));
+        let scale = spot.gain / drift.map_or(1.0, |d| d[channel]) * rig.channels[channel].white_balance
+            / rig.laser.power[channel];
         let floor = (self.threshold * rig.channels[channel].noise_floor) as f32;
         let value = |(l, (at, inverse)): (&f32, &([f64; 2], f64))| {
             let seen = *l > floor && l.is_finite() && at[0].is_finite();
@@ -146,7 +148,7 @@ fn select(capture: &Capture) -> Vec<Spot> {
         chosen.sort_unstable();
         spots.extend(chosen.into_iter().map(|position| {
             let hit = rig.laser.hits_mm[position];
-            let cos = incidence(rig.laser.origin_mm, hit);
+            let cos = incidence(rig.laser.origin(position), hit);
             let entered = f64::from(1.0 - fresnel::dielectric(cos as f32, rig.eta as f32).reflectance);
             Spot { frame: [view, position], at: [hit[0], hit[1]], gain: PI / entered }
         }));

@@ -7,7 +7,10 @@ use serde_json::json;
 use std::path::PathBuf;
 use translume_image::atomic;
 use translume_scatter::capture::Capture;
-use translume_scatter::planar::{MODEL_VERSION, ModelHead, PlanarCapture, PlanarParams, fit_planar, save_model};
+use translume_scatter::planar::{
+    MODEL_VERSION, ModelHead, PlanarCapture, PlanarParams, estimate_gains, fit_planar, save_model,
+};
+use translume_scatter::vertex::{MeshCapture, VertexHead, VertexParams, fit_vertices, save_vertex_model};
 use translume_scatter::{Error, MAX_TERMS, Model, Params, SampleFile, Sink, fit_file};
 
 const EXAMPLES: &str = "\
@@ -22,7 +25,10 @@ Examples:
     translume scatter fit samples.npy --model dipole --eta 1.3 -o dipole.json
 
   A capture of a flat sample, one fall-off for all colours:
-    translume scatter fit capture/ --segments 8 --shared -o model/";
+    translume scatter fit capture/ --segments 8 --shared -o model/
+
+  A capture of a mesh: a fall-off for each vertex, for rendering from any side:
+    translume scatter fit bunny-capture/ --model exponential -o bunny-model/";
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum ModelName {
@@ -43,7 +49,8 @@ enum ModelName {
 /// like near ones. The file is read a block at a time and may be larger than the memory; the result is JSON.
 ///
 /// A capture is the folder of a flat sample; the result is a folder with the fall-offs and a modulation texture. Every fifth
-/// pixel is kept from the fit, for `report`.
+/// pixel is kept from the fit, for `report`. With a capture of any other mesh the result is a folder with a fall-off for each vertex,
+/// one for all colours; unstable fits lose terms, or are left out, and what was not measured comes from the neighbours.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
@@ -71,6 +78,9 @@ pub(super) struct Args {
     /// Captures: one fall-off for all colours, with a factor for each
     #[arg(long)]
     shared: bool,
+    /// Flat samples: estimate the laser's power in each frame, by reciprocity between neighbouring positions
+    #[arg(long)]
+    gains: bool,
     /// Captures: pixels above this multiple of the noise floor are samples
     #[arg(long, value_name = "FACTOR", default_value_t = 4.0)]
     threshold: f64,
@@ -80,7 +90,10 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(args)?;
     match args.input.is_dir() {
         true => fit_capture(args, params, ctx),
-        false if args.shared => Err(Usage("--shared: a list of samples has one channel only".into()).into()),
+        false if args.shared || args.gains => {
+            Err(Usage("--shared and --gains need a capture; a list of samples has one channel and no frames".into())
+                .into())
+        }
         false => fit_list(args, params, ctx),
     }
 }
@@ -157,13 +170,23 @@ fn summary_json(s: &translume_scatter::Summary) -> serde_json::Value {
 }
 
 fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
-    let capture = PlanarCapture::new(Capture::open(&args.input)?, args.threshold)?;
+    let opened = Capture::open(&args.input)?;
+    if !opened.is_flat() {
+        return fit_mesh(args, fit, opened, ctx);
+    }
+    let mut capture = PlanarCapture::new(opened, args.threshold)?;
     if capture.missing > 0 {
         ctx.warn(format!(
             "{}: {} frames are missing; their laser positions are left out",
             args.input.display(),
             capture.missing
         ));
+    }
+    if args.gains {
+        capture.gains = estimate_gains(&capture)?;
+        let all: Vec<f64> = capture.gains.iter().flatten().copied().collect();
+        let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(*g), h.max(*g)));
+        ctx.text(format!("power of the laser from {low:.3} to {high:.3} of what the rig says"))?;
     }
     let fit = Params { eta: capture.capture.rig.eta, ..fit };
     let params = PlanarParams { fit, shared: args.shared, ..PlanarParams::default() };
@@ -191,6 +214,7 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
         threshold: args.threshold,
         channels: capture.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
         frames: capture.spots.iter().map(|s| s.frame).collect(),
+        gains: capture.gains.clone(),
     };
     let [.., rows, columns] = capture.capture.frames.shape;
     save_model(&args.output, &head, &model, (columns, rows))?;
@@ -205,5 +229,55 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "points": model.points.len(), "fitted": fitted,
         "missing_frames": capture.missing, "mean_rms": mean, "textured": textured,
+    }))
+}
+
+fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow::Result<()> {
+    if args.shared || args.gains || args.segments != 1 {
+        let what = "--shared, --gains and --segments are for flat samples; objects have one fall-off for all colours and directions";
+        return Err(Usage(what.into()).into());
+    }
+    let fit = Params { eta: opened.rig.eta, ..fit };
+    let mesh = MeshCapture::new(opened, args.threshold)?;
+    if mesh.dark > 0 {
+        ctx.warn(format!(
+            "{}: {} laser positions have no whole set of frames and are left out",
+            args.input.display(),
+            mesh.dark
+        ));
+    }
+    let bar = ctx.progress(mesh.beams.len() as u64, "fitting");
+    let params = VertexParams { fit, ..VertexParams::default() };
+    let model = fit_vertices(&mesh, &params, || bar.inc(1))?;
+    let measured = model.vertices.iter().filter(|v| v.measured()).count();
+    let empty = model.vertices.iter().filter(|v| v.fall_off.segments.is_empty()).count();
+    if measured == 0 {
+        return Err(Error::invalid(&args.input, "no laser position has enough pixels above the noise for a fit").into());
+    }
+    if empty > 0 {
+        ctx.warn(format!("{empty} vertices are on pieces that no laser position lit, and have no fall-off"));
+    }
+    let head = VertexHead {
+        command: ctx.command_line.clone(),
+        model: params.fit.model,
+        terms: params.fit.terms,
+        threshold: args.threshold,
+        channels: mesh.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
+    };
+    save_vertex_model(&args.output, &head, &model, &mesh)?;
+    let vertices = model.vertices.len();
+    let seen = model.texture_samples.iter().flatten().filter(|n| **n > 0.0).count();
+    let textured = seen as f64 / model.texture_samples.iter().map(Vec::len).sum::<usize>() as f64;
+    ctx.text(format!(
+        "{vertices} vertices: {measured} measured, {} interpolated, from {} laser positions of which {} gave no stable fit; \
+         modulation known for {:.0} % of the surface",
+        vertices - measured - empty,
+        mesh.beams.len(),
+        model.unstable,
+        100.0 * textured
+    ))?;
+    ctx.emit_json(json!({
+        "output": args.output.to_string_lossy(), "vertices": vertices, "measured": measured, "empty": empty,
+        "positions": mesh.beams.len(), "unstable": model.unstable, "textured": textured,
     }))
 }

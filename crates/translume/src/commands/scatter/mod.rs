@@ -1,7 +1,10 @@
 //! `translume scatter`: models of subsurface scattering from measurements.
 
 mod fit;
+mod plot;
 mod report;
+mod report_mesh;
+mod report_planar;
 mod simulate;
 
 use crate::output::Context;
@@ -27,6 +30,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, clap::Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one exists at a time")]
 enum Verb {
     Simulate(simulate::Args),
     Fit(fit::Args),

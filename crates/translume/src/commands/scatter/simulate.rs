@@ -5,7 +5,8 @@ use crate::output::Context;
 use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use translume_scatter::simulate::{CaptureParams, Procedural, capture_slab};
+use translume_mesh::{ReadOptions, TriMesh};
+use translume_scatter::simulate::{CaptureParams, Local, Medium, Procedural, Solid, capture_slab, capture_solid};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -16,12 +17,19 @@ Examples:
     translume scatter simulate marble --rough --drift 0.05 -o capture/
 
   A small one to look at:
-    translume scatter simulate wax --spots 2 --pixels 24 --photons 20000 -o small/";
+    translume scatter simulate wax --spots 2 --pixels 24 --photons 1000 -o small/
 
-/// Capture a slab of a heterogeneous medium with a virtual laser and camera
+  A closed mesh of 30 mm on a turntable with four stops and two cameras:
+    translume scatter simulate marble --mesh bunny.ply --mesh-size 30 --spacing 3 -o bunny-capture/
+
+  A measured density of albedo 0.98, 0.95, 0.9 in the mesh; extinction 4 per mm where the grid is 1:
+    translume scatter simulate grid --grid smoke.vol --extinction 4 --albedo 0.98,0.95,0.9 --mesh bunny.ply -o smoke/";
+
+/// Capture a slab or a closed mesh of a heterogeneous medium with a virtual laser and camera
 ///
-/// A random walk of photons finds the light that leaves the slab around each laser position; a perspective camera with
-/// noise sees it. The result is a capture set: rig.json, mesh.ply and the frames as a Zarr array.
+/// A random walk of photons finds the light that leaves the object around each laser position; a perspective camera with
+/// noise sees it. The result is a capture set: rig.json, mesh.ply and the frames as a Zarr array. Frames are written as they are
+/// made: memory does not grow with their number.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
@@ -31,9 +39,24 @@ pub(super) struct Args {
     /// Folder of the capture, which must not exist
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
-    /// Laser positions along each side of a square
-    #[arg(long, value_name = "N", default_value_t = 8)]
-    spots: usize,
+    /// A closed mesh to capture instead of a slab; z is the turntable's axis
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Scale the mesh to this longest side; without it, its unit is the millimetre
+    #[arg(long, value_name = "MM", requires = "mesh")]
+    mesh_size: Option<f64>,
+    /// Density of the medium `grid`, a Mitsuba .vol, stretched over the object
+    #[arg(long, value_name = "FILE.vol")]
+    grid: Option<PathBuf>,
+    /// Extinction per mm where the grid is 1
+    #[arg(long, value_name = "PER_MM", default_value_t = 2.0)]
+    extinction: f64,
+    /// Albedo of the grid's medium in red, green and blue
+    #[arg(long, value_name = "R,G,B", value_delimiter = ',', default_values_t = [0.99, 0.98, 0.96])]
+    albedo: Vec<f64>,
+    /// Laser positions along each side of a square, on slabs [default: 8]
+    #[arg(long, value_name = "N", conflicts_with = "mesh")]
+    spots: Option<usize>,
     /// Distance between them
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     spacing: f64,
@@ -43,15 +66,18 @@ pub(super) struct Args {
     /// Columns and rows of a frame
     #[arg(long, value_name = "N", default_value_t = 48)]
     pixels: usize,
-    /// Width of the object in a frame
-    #[arg(long, value_name = "MM", default_value_t = 24.0)]
-    field: f64,
-    /// Positions of the turntable
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    views: usize,
-    /// Thickness of the slab
-    #[arg(long, value_name = "MM", default_value_t = 16.0)]
-    thickness: f64,
+    /// Width of the object in a frame [default: 24, or the whole mesh]
+    #[arg(long, value_name = "MM")]
+    field: Option<f64>,
+    /// Positions of the turntable [default: 1, with a mesh 4]
+    #[arg(long, value_name = "N")]
+    views: Option<usize>,
+    /// Cameras around the mesh; slabs have one [default: 2]
+    #[arg(long, value_name = "N", requires = "mesh")]
+    cameras: Option<usize>,
+    /// Thickness of the slab [default: 16]
+    #[arg(long, value_name = "MM", conflicts_with = "mesh")]
+    thickness: Option<f64>,
     /// Index of refraction
     #[arg(long, value_name = "ETA", default_value_t = 1.5)]
     eta: f64,
@@ -59,7 +85,7 @@ pub(super) struct Args {
     #[arg(long)]
     rough: bool,
     /// Photons for each laser position
-    #[arg(long, value_name = "N", default_value_t = 400_000)]
+    #[arg(long, value_name = "N", default_value_t = 4_000)]
     photons: usize,
     /// Dynamic range of the camera; without it, it has no noise
     #[arg(long, value_name = "DB", default_value_t = 120.0)]
@@ -101,27 +127,38 @@ enum Name {
     Stone,
     /// Marble's matrix alone
     Homogeneous,
+    /// The density of --grid
+    Grid,
 }
 
 impl Name {
-    fn procedural(self) -> Procedural {
-        match self {
+    fn procedural(self) -> Option<Procedural> {
+        Some(match self {
             Self::Marble => Procedural::Marble,
             Self::Apple => Procedural::Apple,
             Self::Sponge => Procedural::Sponge,
             Self::Wax => Procedural::Wax,
             Self::Stone => Procedural::Stone,
             Self::Homogeneous => Procedural::Homogeneous,
-        }
+            Self::Grid => return None,
+        })
     }
 }
 
-fn params(args: &Args) -> anyhow::Result<CaptureParams> {
+fn params(args: &Args, solid: Option<&Solid>) -> anyhow::Result<CaptureParams> {
+    let plain = CaptureParams::default();
+    let (spots, thickness) = (args.spots.unwrap_or(plain.spots), args.thickness.unwrap_or(plain.thickness_mm));
+    let views = args.views.unwrap_or(if solid.is_some() { 4 } else { 1 });
+    let cameras = args.cameras.unwrap_or(if solid.is_some() { 2 } else { 1 });
+    // The mesh as it turns, and some room.
+    let around = solid.map(|s| 1.05 * f64::from(s.mesh().bounds().extent().length()));
+    let field = args.field.unwrap_or(around.unwrap_or(plain.field_mm));
     let usage = |what: String| Err(Usage(what).into());
     for (name, n, most) in [
-        ("--spots", args.spots, 256),
+        ("--spots", spots, 256),
         ("--pixels", args.pixels, 4096),
-        ("--views", args.views, 360),
+        ("--views", views, 360),
+        ("--cameras", cameras, 16),
         ("--photons", args.photons, 1 << 40),
     ] {
         if !(1..=most).contains(&n) {
@@ -131,8 +168,8 @@ fn params(args: &Args) -> anyhow::Result<CaptureParams> {
     let lengths = [
         ("--spacing", args.spacing),
         ("--beam", args.beam),
-        ("--field", args.field),
-        ("--thickness", args.thickness),
+        ("--field", field),
+        ("--thickness", thickness),
         ("--dynamic-range", args.dynamic_range),
     ];
     if let Some((name, x)) = lengths.into_iter().find(|(_, x)| !(x.is_finite() && (1e-3..=1e4).contains(x))) {
@@ -151,13 +188,14 @@ fn params(args: &Args) -> anyhow::Result<CaptureParams> {
         return usage(format!("--eta {}: an index of refraction lies between 1 and 4", args.eta));
     }
     Ok(CaptureParams {
-        spots: args.spots,
+        spots,
         spacing_mm: args.spacing,
         beam_diameter_mm: args.beam,
         pixels: args.pixels,
-        field_mm: args.field,
-        views: args.views,
-        thickness_mm: args.thickness,
+        field_mm: field,
+        views,
+        cameras,
+        thickness_mm: thickness,
         eta: args.eta,
         rough: args.rough,
         photons: args.photons,
@@ -167,27 +205,121 @@ fn params(args: &Args) -> anyhow::Result<CaptureParams> {
         peak_shift_mm: args.peak_shift,
         geometry_error_mm: args.geometry_error,
         seed: args.seed,
-        ..CaptureParams::default()
+        ..plain
     })
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    let params = params(args)?;
+    if args.grid.is_some() != matches!(args.medium, Name::Grid) {
+        return Err(Usage("--grid FILE.vol and the medium `grid` go together".into()).into());
+    }
     if args.output.exists() {
         return Err(anyhow!("{}: it exists; choose another name or remove it", args.output.display()));
     }
+    let solid = args.mesh.as_deref().map(|file| load_solid(file, args.mesh_size)).transpose()?;
+    let params = params(args, solid.as_ref())?;
+    let medium = medium(args, &params, solid.as_ref(), ctx)?;
     let parent = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
     let beside = beside.map_err(|e| anyhow!("{}: {e}", parent.display()))?;
     let folder = beside.path().join("capture");
-    let positions = params.spots * params.spots;
-    let bar = ctx.progress(positions as u64, "shining");
+    let bar = ctx.progress((params.spots * params.spots) as u64, "shining");
     let label = json!({ "medium": format!("{:?}", args.medium).to_lowercase(), "pattern": args.pattern, "command": ctx.command_line });
-    let medium = args.medium.procedural().build(args.pattern);
-    let capture = capture_slab(&folder, &medium, &params, label, || bar.inc(1))?;
+    let capture = match &solid {
+        Some(solid) => capture_solid(&folder, (solid, &medium), &params, label, |positions| {
+            bar.set_length(positions as u64);
+            bar.inc(1);
+        })?,
+        None => capture_slab(&folder, &medium, &params, label, || bar.inc(1))?,
+    };
     std::fs::rename(&folder, &args.output).map_err(|e| anyhow!("{}: {e}", args.output.display()))?;
-    let frames: usize = capture.frames.shape[..3].iter().product();
-    ctx.text(format!("{}: {frames} frames of {} × {} pixels", args.output.display(), params.pixels, params.pixels))?;
+    let rig = &capture.rig;
+    let positions = rig.laser.hits_mm.len();
+    // Each laser position of a mesh is seen by the cameras of its stop.
+    let frames = positions * rig.channels.len() * if solid.is_some() { params.cameras } else { params.views };
+    ctx.text(format!(
+        "{}: {frames} frames of {} × {} pixels, {positions} laser positions",
+        args.output.display(),
+        params.pixels,
+        params.pixels
+    ))?;
+    let floors: Vec<f64> = rig.channels.iter().map(|c| c.noise_floor).collect();
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "frames": frames, "positions": positions,
-        "noise_floor": capture.rig.channels[0].noise_floor }))
+        "noise_floor": floors }))
+}
+
+fn load_solid(file: &Path, size: Option<f64>) -> anyhow::Result<Solid> {
+    if size.is_some_and(|s| !(1e-3..=1e4).contains(&s)) {
+        return Err(Usage("--mesh-size: it must lie between 0.001 and 10000".into()).into());
+    }
+    let loaded = translume_mesh::read(file, &ReadOptions::default())?;
+    let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
+    let mut mesh = compact(&mesh.ok_or_else(|| anyhow!("{}: no triangles", file.display()))?);
+    if let Some(size) = size {
+        let longest = mesh.bounds().extent().max_element();
+        let factor = (size / f64::from(longest)) as f32;
+        mesh.positions.iter_mut().flatten().for_each(|x| *x *= factor);
+    }
+    Solid::new(mesh).map_err(|what| anyhow!("{}: {what}", file.display()))
+}
+
+/// Positions and triangles alone: one vertex for each position (files split them at seams of texture, and light does not
+/// care), without vertices that no triangle uses and without triangles of fewer than three corners.
+fn compact(mesh: &TriMesh) -> TriMesh {
+    let (weld, positions) = mesh.weld();
+    let mut number = vec![u32::MAX; positions];
+    let mut out = TriMesh::default();
+    for triangle in &mesh.indices {
+        let [a, b, c] = triangle.map(|i| weld[i as usize]);
+        if a == b || b == c || c == a {
+            continue;
+        }
+        let index = triangle.map(|i| {
+            let n = &mut number[weld[i as usize] as usize];
+            if *n == u32::MAX {
+                *n = out.positions.len() as u32;
+                out.positions.push(mesh.positions[i as usize]);
+            }
+            *n
+        });
+        out.indices.push(index);
+    }
+    out
+}
+
+fn medium(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Context) -> anyhow::Result<Medium> {
+    let Some(procedural) = args.medium.procedural() else { return grid(args, params, solid, ctx) };
+    Ok(match solid {
+        Some(solid) => procedural.fill(args.pattern, solid.bounds(), |p| solid.depth(p)),
+        None => procedural.build(args.pattern),
+    })
+}
+
+/// The numbers of a grid as extinction, its box stretched over the mesh, or for a slab over the frame and the depth.
+fn grid(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Context) -> anyhow::Result<Medium> {
+    let file = args.grid.as_deref().expect("checked");
+    let albedo: [f64; 3] = args.albedo.clone().try_into().map_err(|_| Usage("--albedo: three numbers".into()))?;
+    if !albedo.iter().all(|a| *a > 0.0 && *a <= 1.0) || !(1e-6..=1e3).contains(&args.extinction) {
+        return Err(Usage("--albedo lies in (0, 1], --extinction in 0.000001 to 1000".into()).into());
+    }
+    let (grid, _) = translume_scene::read_grid(file)?;
+    if grid.channels > 1 {
+        ctx.warn(format!("{}: of its {} channels the first is the density", file.display(), grid.channels));
+    }
+    let half = params.field_mm / 2.0;
+    let slab = ([-half, -half, -params.thickness_mm], [half, half, 0.0]);
+    let (low, high) = solid.map_or(slab, Solid::bounds);
+    let extent = [0, 1, 2].map(|i| (high[i] - low[i]).max(1e-6));
+    // Cubes as fine as the grid's finest side.
+    let cell = (0..3).map(|i| extent[i] / grid.size[i] as f64).fold(f64::INFINITY, f64::min);
+    let cell = cell.max(extent.iter().copied().fold(0.0, f64::max) / 256.0);
+    let size = extent.map(|e| ((e / cell).ceil() as usize).max(1));
+    let scattering = albedo.iter().copied().fold(0.0, f64::max);
+    Ok(Medium::block(low, size, cell, |p| {
+        let at = |i: usize| (((p[i] - low[i]) / extent[i] * grid.size[i] as f64) as usize).min(grid.size[i] - 1);
+        let index = (at(2) * grid.size[1] + at(1)) * grid.size[0] + at(0);
+        // Scattering is grey here: each channel keeps its albedo by its absorption.
+        let sigma_s = scattering * args.extinction * f64::from(grid.values[index * grid.channels]);
+        Local { sigma_s: sigma_s as f32, sigma_a: albedo.map(|a| (sigma_s * (1.0 / a - 1.0)) as f32), g: 0.0 }
+    }))
 }

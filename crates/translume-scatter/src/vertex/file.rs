@@ -1,0 +1,105 @@
+//! A model of an object on disk: `model.json`, `mesh.ply`, and `texture.exr` with a row for each triangle and a column for each
+//! of its texels, channels `alpha.NAME` and the number of samples behind it, `samples.NAME`.
+
+use super::model::VertexModel;
+use super::samples::MeshCapture;
+use crate::capture::Texels;
+use crate::fit::Model;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use translume_image::{Error, ExrOptions, Precision, Result, atomic, read_exr_channels, write_exr_channels};
+use translume_mesh::ply;
+
+/// Version of the format; a reader refuses another major one.
+pub const VERTEX_MODEL_VERSION: &str = "1.0";
+const FORMAT: &str = "translume vertex model";
+
+/// What stands in `model.json` beside the vertices.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VertexHead {
+    /// The command line that made it.
+    pub command: String,
+    /// The fall-off.
+    pub model: Model,
+    /// Most exponentials.
+    pub terms: usize,
+    /// Multiple of the noise floor above which a pixel was a sample.
+    pub threshold: f64,
+    /// Names of the channels.
+    pub channels: Vec<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Whole {
+    format: String,
+    version: String,
+    #[serde(flatten)]
+    head: VertexHead,
+    #[serde(flatten)]
+    model: VertexModel,
+}
+
+/// Writes the model into the folder `path`, which is made.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn save_vertex_model(path: &Path, head: &VertexHead, model: &VertexModel, mesh: &MeshCapture) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
+    let options = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };
+    let names: Vec<[String; 2]> =
+        head.channels.iter().map(|n| [format!("alpha.{n}"), format!("samples.{n}")]).collect();
+    let planes = names.iter().zip(model.texture.iter().zip(&model.texture_samples));
+    let channels: Vec<(&str, &[f32])> =
+        planes.flat_map(|([a, s], (alpha, samples))| [(a.as_str(), &alpha[..]), (s.as_str(), &samples[..])]).collect();
+    let size = (Texels { per_edge: model.texels_per_edge }.per_face(), mesh.surface.mesh.indices.len());
+    write_exr_channels(&path.join("texture.exr"), size, &channels, &options)?;
+    let mesh_file = path.join("mesh.ply");
+    atomic::write(&mesh_file, |out| ply::write(&mesh.surface.mesh, out).map_err(|e| Error::io(&mesh_file, e)))?;
+    let whole =
+        Whole { format: FORMAT.into(), version: VERTEX_MODEL_VERSION.into(), head: head.clone(), model: model.clone() };
+    let text = serde_json::to_string(&whole).expect("plain data");
+    atomic::write_bytes(&path.join("model.json"), text.as_bytes())
+}
+
+/// Reads a model that was fitted to `mesh`.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] for damaged files or a model of another capture; [`Error::Unsupported`] for another
+/// version.
+pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead, VertexModel)> {
+    let file = path.join("model.json");
+    let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
+    let value: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
+    if value["format"] != FORMAT {
+        return Err(Error::invalid(&file, "not a model of translume for a mesh"));
+    }
+    let version = value["version"].as_str().unwrap_or_default();
+    if version.split('.').next() != VERTEX_MODEL_VERSION.split('.').next() {
+        let what = format!("version {version}; this program reads {VERTEX_MODEL_VERSION}");
+        return Err(Error::unsupported(&file, what));
+    }
+    let Whole { head, mut model, .. } =
+        serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
+    let channels: Vec<&String> = mesh.capture.rig.channels.iter().map(|c| &c.name).collect();
+    let vertices = mesh.surface.mesh.positions.len();
+    if !head.channels.iter().eq(channels.iter().copied()) || model.vertices.len() != vertices {
+        return Err(Error::invalid(&file, "it was not fitted to this capture: channels or vertices differ"));
+    }
+    let sound = |v: &super::Vertex| v.scale.len() == channels.len() && v.fall_off.segments.len() <= 1;
+    if !model.vertices.iter().all(sound) || !(1..=32).contains(&model.texels_per_edge) {
+        return Err(Error::invalid(&file, "its vertices do not go with its channels"));
+    }
+    let expected = Texels { per_edge: model.texels_per_edge }.per_face() * mesh.surface.mesh.indices.len();
+    let file = path.join("texture.exr");
+    let mut texture = read_exr_channels(&file, 0)?;
+    let mut take = |name: String| {
+        let plane = texture.planes.iter_mut().find(|p| p.0 == name).map(|p| std::mem::take(&mut p.1));
+        let fits = plane.filter(|p| p.len() == expected);
+        fits.ok_or_else(|| Error::invalid(&file, format!("no channel {name} of the mesh's size")))
+    };
+    for name in &head.channels {
+        model.texture.push(take(format!("alpha.{name}"))?);
+        model.texture_samples.push(take(format!("samples.{name}"))?);
+    }
+    Ok((head, model))
+}

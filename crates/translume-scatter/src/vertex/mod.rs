@@ -1,0 +1,16 @@
+//! The exponential model of an object of any shape [Fuchs 2005, §5, Eq. 9]: a fall-off for each vertex of its mesh, shared by all
+//! channels but for a factor, and a modulation texture.
+//!
+//! Distances are straight through space, as in the paper. Not modelled, and so part of the error: single scattering, light
+//! that leaves and enters again, and the shape of the surface between two points.
+
+mod error;
+mod file;
+mod interpolate;
+mod model;
+mod samples;
+
+pub use error::error_map;
+pub use file::{VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, save_vertex_model};
+pub use model::{Vertex, VertexModel, VertexParams, fit_vertices};
+pub use samples::MeshCapture;
