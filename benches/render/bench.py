@@ -4,13 +4,14 @@ Both render the same file at the same size on one thread, each run in a process 
 counts is the processor time of the samples beyond the first few, so that loading, compiling and other programs on the
 machine do not.
 """
-import argparse, csv, json, os, platform, re, statistics, subprocess, sys, tempfile, time
+import argparse, csv, json, math, os, platform, re, statistics, subprocess, sys, tempfile, time
 
 BINARY = os.path.join(os.environ.get("CARGO_TARGET_DIR", "target"), "release", "translume")
 SCENES = {"cornell-box": "cornell-box/mitsuba/scene_v3.xml", "modern-hall": "modern-hall/scene.xml", "living-room": "living-room/scene.xml",
           "matpreview": "matpreview/matpreview.xml", "sponza": "sponza-dabrovic/sponza.xml"}
 LONGER_SIDE = 256
-FEW = 2  # samples per pixel before the clock runs
+# Samples per pixel before the clock runs, and of a whole run: powers of four, to which Mitsuba's samplers round the number up unseen.
+FEW, MOST = 4, 16
 
 
 def for_mitsuba_3(path, size):
@@ -73,9 +74,12 @@ def main():
         return mitsuba_process(*sys.argv[2:])
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--scenes", default=",".join(SCENES))
-    arguments.add_argument("--spp", type=int, default=16)
+    arguments.add_argument("--spp", type=int, default=MOST, help="a power of four")
     arguments.add_argument("--rounds", type=int, default=3)
     arguments = arguments.parse_args()
+    if arguments.spp <= FEW or 4 ** round(math.log(arguments.spp, 4)) != arguments.spp:
+        sys.exit(f"--spp {arguments.spp}: a power of four above {FEW} is wanted")
+    arguments.spp -= FEW
     rows, variants = [], ["scalar_rgb", "llvm_ad_rgb"]
     for name in arguments.scenes.split(","):
         path = os.path.join(os.environ["TRANSLUME_DATA"], "scenes", SCENES[name])
