@@ -27,6 +27,9 @@ fn furnaces_are_white() {
         m.constant(0.7);
         m.camera(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, 0.6);
         expect(&film(&m.0, method, UNLIMITED, 64, 1), 0.7, 1e-3);
+        // A second light from everywhere is weighed by itself.
+        m.constant(0.2);
+        expect(&film(&m.0, method, UNLIMITED, 256, 1), 0.9, 3e-3);
         // Inside a closed diffuse sphere that shines: L_e / (1 − albedo).
         let mut m = Maker::default();
         let gray = m.diffuse(0.5);

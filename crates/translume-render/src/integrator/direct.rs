@@ -5,6 +5,7 @@
 
 use super::{Work, power_heuristic};
 use crate::Rgb;
+use crate::light::FarLight;
 use crate::world::{Shading, SurfaceHit, World};
 use glam::Vec3;
 use translume_bxdf::Mode;
@@ -27,18 +28,19 @@ impl Origin {
         Self { p, n: Vec3::ZERO, pdf_w: f32::INFINITY }
     }
 
-    /// What is emitted where the ray along `d` arrives (`hit`) or escapes, and its weight against emitter sampling here.
-    pub(super) fn emitted(&self, world: &World, hit: Option<&SurfaceHit>, d: Vec3) -> (Rgb, f32) {
+    /// What is emitted where the ray along `d` arrives (`hit`) or escapes, weighed against emitter sampling here: each light
+    /// that lies behind by itself, since emitter sampling draws one of them.
+    pub(super) fn emitted(&self, world: &World, hit: Option<&SurfaceHit>, d: Vec3) -> Rgb {
         let Some(hit) = hit else {
-            let (value, pdf_w) = world.lights().far_radiance(d);
-            return (value, power_heuristic(self.pdf_w, pdf_w));
+            let weighed = |far: FarLight| far.radiance * power_heuristic(self.pdf_w, far.pdf_w);
+            return world.lights().far_lights(d).map(weighed).sum();
         };
-        let Some((value, light)) = world.emission(hit) else { return (Rgb::ZERO, 0.0) };
+        let Some((value, light)) = world.emission(hit) else { return Rgb::ZERO };
         let pdf_w = match self.pdf_w.is_infinite() {
             true => 0.0,
             false => world.lights().pdf_surface(self.p, self.n, light, hit.point.p, hit.n()),
         };
-        (value, power_heuristic(self.pdf_w, pdf_w))
+        value * power_heuristic(self.pdf_w, pdf_w)
     }
 }
 

@@ -39,8 +39,7 @@ impl Integrator for Path {
             let hidden = depth == 0 && self.settings.hide_emitters;
             let found = if hidden { world.intersect_behind_lights(&ray) } else { world.intersect(&ray) };
             if !(hidden && found.is_none()) {
-                let (value, weight) = origin.emitted(world, found.as_ref(), ray.d);
-                radiance += throughput * value * weight;
+                radiance += throughput * origin.emitted(world, found.as_ref(), ray.d);
             }
             let Some(hit) = found else { break };
             if depth + 1 >= max_depth {

@@ -179,8 +179,7 @@ impl Integrator for PhotonMapping {
             let hidden = segments == 1 && self.settings.hide_emitters;
             let found = if hidden { world.intersect_behind_lights(&ray) } else { world.intersect(&ray) };
             if !(in_caustics || hidden && found.is_none()) {
-                let (value, weight) = origin.emitted(world, found.as_ref(), ray.d);
-                let value = throughput * (value * weight);
+                let value = throughput * origin.emitted(world, found.as_ref(), ray.d);
                 work.tally.add(EMITTED, value);
                 radiance += value;
             }

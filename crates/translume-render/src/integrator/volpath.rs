@@ -301,8 +301,9 @@ impl Integrator for Volpath {
             }
             let Some(hit) = hit else {
                 if !hidden {
-                    let (value, pdf_w) = world.lights().far_radiance(walk.ray.d);
-                    self.found(&mut walk, value, pdf_w);
+                    for far in world.lights().far_lights(walk.ray.d) {
+                        self.found(&mut walk, far.radiance, far.pdf_w);
+                    }
                 }
                 break;
             };

@@ -317,25 +317,6 @@ impl Lights {
         (1.0 - self.far_share()) * self.tree.probability(p, n, light) * shape.pdf_w(p, q, nq)
     }
 
-    /// Radiance that arrives from infinitely far along −`d`, and the density with which [`Lights::sample`] draws `d`.
-    #[inline]
-    pub fn far_radiance(&self, d: Vec3) -> (Rgb, f32) {
-        let (mut radiance, mut pdf) = (Rgb::ZERO, 0.0);
-        for &i in &self.far {
-            match &self.lights[i] {
-                Light::Environment(e) => {
-                    let (value, density) = e.eval_pdf(d);
-                    (radiance, pdf) = (radiance + value, pdf + density);
-                }
-                Light::Constant { radiance: value } => {
-                    (radiance, pdf) = (radiance + *value, pdf + warp::UNIFORM_SPHERE_PDF);
-                }
-                _ => {}
-            }
-        }
-        (radiance, if self.far.is_empty() { 0.0 } else { pdf * self.far_share() / self.far.len() as f32 })
-    }
-
     /// Begins a light path: a light by its power, a place on it by `u`, a direction by `v`.
     pub fn start(&self, scene: &Scene, u_choice: f32, u: Vec2, v: Vec2) -> Option<LightStart> {
         let (light, choice) = self.by_power.as_ref()?.sample(u_choice);
