@@ -11,7 +11,7 @@
 //! A lamp is a disc on the sky of constant radiance. The camera does not see lamps, mirrors and glass do. Media are ignored, as
 //! by `path`.
 
-use crate::integrator::{MOST_CROSSINGS, MOST_SURVIVAL, Settings, power_heuristic, survival};
+use crate::integrator::{MOST_CROSSINGS, Settings, power_heuristic};
 use crate::render::Shot;
 use crate::subpath::MOST_SEGMENTS;
 use crate::{Error, PathSampler, Result, Rgb, World};
@@ -285,12 +285,8 @@ impl Pixel {
                 drawn = Some((if delta { f32::INFINITY } else { sample.pdf_w }, most));
                 most = if delta { most } else { params.clamp };
             }
-            if depth + 1 >= settings.rr_depth {
-                let survival = survival(throughput, eta, MOST_SURVIVAL);
-                if sampler.next_1d() >= survival {
-                    break;
-                }
-                throughput /= survival;
+            if !settings.goes_on(depth + 1, &mut throughput, eta, sampler) {
+                break;
             }
         }
     }

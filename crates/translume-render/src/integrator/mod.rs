@@ -16,6 +16,7 @@ use crate::tally::Tally;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
 use std::sync::atomic::AtomicBool;
+use translume_core::sampler::Sampler;
 use translume_scene::MediumId;
 use translume_trace::Ray;
 
@@ -43,6 +44,20 @@ impl Settings {
     /// Longest path of methods that keep its vertices.
     pub(crate) fn most_segments(&self) -> u32 {
         self.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS)
+    }
+
+    /// Russian roulette on a path of `segments` segments; whether it goes on. Arguments as for [`survival`].
+    #[inline]
+    pub(crate) fn goes_on(&self, segments: u32, throughput: &mut Rgb, eta: f32, sampler: &mut impl Sampler) -> bool {
+        if segments < self.rr_depth {
+            return true;
+        }
+        let survival = survival(*throughput, eta, MOST_SURVIVAL);
+        let survives = sampler.next_1d() < survival;
+        if survives {
+            *throughput /= survival;
+        }
+        survives
     }
 
     /// Refuses scenes with media for `method`, which knows none.

@@ -5,7 +5,7 @@
 //! pass light straight, which Mitsuba leaves to chance; the expectation is the same. Media are ignored.
 
 use super::direct::{Direct, Origin};
-use super::{Integrator, MOST_SURVIVAL, Settings, Work, survival};
+use super::{Integrator, Settings, Work};
 use crate::Rgb;
 use crate::world::World;
 use translume_bxdf::{Flags, Mode};
@@ -65,12 +65,8 @@ impl Integrator for Path {
                 let delta = sample.flags.contains(Flags::DELTA);
                 origin = Origin { p: hit.point.p, n, pdf_w: if delta { f32::INFINITY } else { sample.pdf_w } };
             }
-            if depth + 1 >= self.settings.rr_depth {
-                let survival = survival(throughput, eta, MOST_SURVIVAL);
-                if work.sampler.next_1d() >= survival {
-                    break;
-                }
-                throughput /= survival;
+            if !self.settings.goes_on(depth + 1, &mut throughput, eta, &mut work.sampler) {
+                break;
             }
         }
         radiance

@@ -18,7 +18,7 @@
 //! participating media.
 
 use super::direct::{Direct, Origin};
-use super::{Integrator, Options, Settings, Work, survival};
+use super::{Integrator, Options, Settings, Work};
 use crate::photons::{Photon, PhotonMap};
 use crate::subpath::{self, Limits};
 use crate::world::{Shading, SurfaceHit, World};
@@ -82,12 +82,9 @@ impl PhotonMapping {
         })
     }
 
-    fn max(&self) -> u32 {
-        self.settings.most_segments()
-    }
-
     fn trace(&self, world: &World, seed: u64) -> Maps {
-        let limits = Limits { segments: self.max().saturating_sub(1), rr_depth: self.settings.rr_depth };
+        let limits =
+            Limits { segments: self.settings.most_segments().saturating_sub(1), rr_depth: self.settings.rr_depth };
         let chunk = |number: u64| {
             let (mut vertices, mut photons) = (Vec::new(), [Vec::new(), Vec::new()]);
             for i in number * CHUNK..((number + 1) * CHUNK).min(self.paths) {
@@ -174,7 +171,7 @@ impl Integrator for PhotonMapping {
         // A diffuse surface was left to gather; the last direction with a density was drawn at one; since then there were only
         // mirrors and glass, so that a light behind is in the caustic map there.
         let (mut gathered, mut from_diffuse, mut in_caustics) = (false, false, false);
-        for segments in 1..=self.max() {
+        for segments in 1..=self.settings.most_segments() {
             work.rays += 1;
             let hidden = segments == 1 && self.settings.hide_emitters;
             let found = if hidden { world.intersect_behind_lights(&ray) } else { world.intersect(&ray) };
@@ -184,7 +181,7 @@ impl Integrator for PhotonMapping {
                 radiance += value;
             }
             let Some(hit) = found else { break };
-            if segments == self.max() {
+            if segments == self.settings.most_segments() {
                 break;
             }
             let shading = world.shading(&hit);
@@ -192,14 +189,15 @@ impl Integrator for PhotonMapping {
             let diffuse = shading.flags().contains(Flags::DIFFUSE);
             let last = diffuse && (gathered || !self.gather);
             if shading.flags().has_smooth() && !(diffuse && self.direct_in_map) {
-                let direct = Direct { n, crossings: self.max() - segments - 1, weighed: !last };
+                let direct = Direct { n, crossings: self.settings.most_segments() - segments - 1, weighed: !last };
                 let value = throughput * direct.sample(world, &hit, &shading, work);
                 work.tally.add(DIRECT, value);
                 radiance += value;
             }
             if diffuse {
                 let mut add = |part: usize, map: &PhotonMap| {
-                    let value = throughput * self.estimate(world, map, &hit, &shading, self.max() - segments);
+                    let value = throughput
+                        * self.estimate(world, map, &hit, &shading, self.settings.most_segments() - segments);
                     work.tally.add(part, value);
                     radiance += value;
                 };
@@ -228,12 +226,8 @@ impl Integrator for PhotonMapping {
                 }
                 origin = Origin { p: hit.point.p, n, pdf_w: if delta { f32::INFINITY } else { sample.pdf_w } };
             }
-            if segments >= self.settings.rr_depth {
-                let survival = survival(throughput, eta, super::MOST_SURVIVAL);
-                if work.sampler.next_1d() >= survival {
-                    break;
-                }
-                throughput /= survival;
+            if !self.settings.goes_on(segments, &mut throughput, eta, &mut work.sampler) {
+                break;
             }
         }
         radiance

@@ -1,12 +1,12 @@
 //! `translume render`: a scene becomes a picture.
 
 use crate::cli::Usage;
-use crate::output::Context;
+use crate::output::{self, Context};
 use anyhow::{Context as _, anyhow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use translume_image::colour::linear_to_srgb;
 use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
@@ -259,15 +259,7 @@ const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(60);
 impl Reporter<'_> {
     /// Renders, with progress, previews and checkpoints, until done or interrupted.
     fn watch(&self, shot: &Shot, film: &mut Film, until: &Until) -> anyhow::Result<Progress> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let handler = stop.clone();
-        // A second Ctrl-C ends the program at once.
-        ctrlc::set_handler(move || {
-            if handler.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
-            }
-        })
-        .context("cannot listen for Ctrl-C")?;
+        let stop = output::stop_on_ctrl_c()?;
         let bar = self.ctx.progress(1000, "rendering");
         let (mut saved, mut failure) = (Instant::now(), None);
         let progress = shot.render(film, until, &stop, &mut |film, progress| {

@@ -123,10 +123,6 @@ impl GKernel {
         })
     }
 
-    fn max(&self) -> u32 {
-        self.settings.most_segments()
-    }
-
     fn bandwidth(&self, world: &World, h: [f32; 2]) -> Bandwidth {
         match self.printed {
             true => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY },
@@ -142,7 +138,10 @@ impl GKernel {
     fn request<'a>(&self, shot: &Shot<'a>, step: u64, h: [f32; 2], weighing: Weighing) -> Request<'a> {
         Request {
             world: shot.world,
-            limits: Limits { segments: self.max().saturating_sub(1), rr_depth: self.settings.rr_depth },
+            limits: Limits {
+                segments: self.settings.most_segments().saturating_sub(1),
+                rr_depth: self.settings.rr_depth,
+            },
             bandwidth: self.bandwidth(shot.world, h),
             weighing,
             seed: shot.seed,
@@ -161,7 +160,7 @@ impl GKernel {
         sample: u64,
         wanted: impl Fn(usize) -> bool,
     ) -> Block<'a> {
-        let limits = Limits { segments: self.max(), rr_depth: self.settings.rr_depth };
+        let limits = Limits { segments: self.settings.most_segments(), rr_depth: self.settings.rr_depth };
         let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, weighing };
         let mut block = Block { eyes: Vec::new(), radiance: Vec::new(), rays: 0 };
         let mut buffer: Vec<Vertex> = Vec::new();
@@ -241,7 +240,14 @@ impl GKernel {
         weighing: Weighing,
         step: u64,
     ) -> Linker<'a> {
-        Linker { world: shot.world, lights, bandwidth, weighing, max: self.max(), seed: (shot.seed, step) }
+        Linker {
+            world: shot.world,
+            lights,
+            bandwidth,
+            weighing,
+            max: self.settings.most_segments(),
+            seed: (shot.seed, step),
+        }
     }
 
     /// How likely a candidate becomes a trial link, relative to others of the same camera vertex.

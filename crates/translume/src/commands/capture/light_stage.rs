@@ -1,13 +1,12 @@
 //! `translume capture light-stage`.
 
 use super::super::render::{parse_define, parse_size};
-use crate::output::Context;
+use crate::output::{self, Context};
 use anyhow::{Context as _, anyhow, bail};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use translume_field::lights;
 use translume_image::{ExrOptions, Picture, Rgb32FImage, atomic, write_exr};
@@ -220,15 +219,7 @@ impl<'a> Stage<'a> {
         ctx: &Context,
     ) -> anyhow::Result<(u64, f64)> {
         let begun = Instant::now();
-        let stop = Arc::new(AtomicBool::new(false));
-        let handler = stop.clone();
-        // A second Ctrl-C ends the program at once.
-        ctrlc::set_handler(move || {
-            if handler.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
-            }
-        })
-        .context("cannot listen for Ctrl-C")?;
+        let stop = output::stop_on_ctrl_c()?;
         let clamp = self.args.clamp.unwrap_or(f32::INFINITY);
         let params = Params { settings: *settings, samples: self.args.spp, clamp };
         let method = integrator::Path::new(*settings);
