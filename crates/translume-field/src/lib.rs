@@ -8,6 +8,7 @@
 //! Directions point from the object to the light: x right, y up, z to the camera.
 
 pub mod basis;
+mod bc6h;
 mod compress;
 mod domain;
 pub mod environment;
