@@ -120,7 +120,7 @@ fn speed(dir: &Path) -> anyhow::Result<()> {
 fn cost(dir: &Path) -> anyhow::Result<()> {
     let (field, stack, secs) = make(dir, &Params::default())?;
     let file = dir.join("field.glb");
-    translume_field::file::write(&file, &field, "bench-field cost")?;
+    translume_field::file::write(&file, &field, "bench-field cost", None)?;
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).map_or("unknown", str::trim);
     println!(

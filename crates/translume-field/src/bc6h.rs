@@ -194,7 +194,7 @@ pub(crate) fn decode(block: &[u8]) -> Option<[[u16; 16]; 3]> {
             ends[1][c] = (ends[0][c] + difference) & ((1 << mode.bits) - 1);
         }
     }
-    let palette = mode.palette(&ends).map(|p| p.map(|v| (v * 31 >> 6) as u16));
+    let palette = mode.palette(&ends).map(|p| p.map(|v| ((v * 31) >> 6) as u16));
     let mut out = [[0; 16]; 3];
     for i in 0..16 {
         let index = take(if i == 0 { 3 } else { 4 }) as usize;

@@ -7,7 +7,7 @@ use crate::file;
 use crate::layers::{self, Plan};
 use crate::matrix::Matrix;
 use crate::pca;
-use crate::sphere::Kernel;
+use crate::sphere::{Kernel, Point, points};
 use crate::stack::Stack;
 use crate::texture::{Codec, Texture};
 use crate::tiles::{self, Tiles, Tiling};
@@ -16,6 +16,8 @@ use nalgebra::DMatrix;
 
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
+/// Most pictures of a stack: between more, the interpolation is not solved in reasonable time.
+const MOST_PICTURES: usize = 4096;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
 
@@ -136,9 +138,20 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     let domain = params.domain().check()?;
     let terms = params.terms(stack)?;
     if params.model != Model::Layers && params.codecs().iter().any(|c| c.channels() != 3) {
-        return Err(Error::Parameter("this model needs layers of three channels: bc1, bc7 or rgb8".into()));
+        return Err(Error::Parameter("this model needs layers of three channels: bc1, bc6h, bc7 or rgb8".into()));
     }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
+    let views = stack.views();
+    if lights.len() > MOST_PICTURES {
+        let what =
+            format!("{} pictures: a field is made of at most {MOST_PICTURES}; take every second one", lights.len());
+        return Err(Error::Parameter(what));
+    }
+    if matches!(params.model, Model::Ptm | Model::Hsh) && !views.is_empty() {
+        return Err(Error::Parameter(
+            "PTM and HSH are functions of the light: pictures from several views need another model".into(),
+        ));
+    }
     let basis = match params.model {
         Model::Ptm => Some(Basis::Ptm),
         Model::Hsh => Some(Basis::Hsh),
@@ -150,7 +163,7 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
         return Err(Error::Parameter(what));
     }
     let matrix = Matrix::read(stack, domain, params.memory, &|| progress("reading"))?;
-    let mut job = Job { stack, params, domain, matrix, lights, progress };
+    let mut job = Job { stack, params, domain, matrix, lights, views, progress };
     let mut field = match (basis, terms) {
         (Some(basis), _) => job.polynomial(basis)?,
         (None, Some(terms)) => job.field_of(terms)?,
@@ -166,6 +179,7 @@ struct Job<'a> {
     domain: Domain,
     matrix: Matrix,
     lights: Vec<[f32; 3]>,
+    views: Vec<[f32; 3]>,
     progress: &'a (dyn Fn(&str) + Sync),
 }
 
@@ -241,11 +255,15 @@ impl Job<'_> {
         }
     }
 
+    fn points(&self) -> Vec<Point> {
+        points(&self.lights, &self.views)
+    }
+
     fn kernel(&self, default: bool, factors: &DMatrix<f64>) -> Kernel {
         if self.params.gaussian.unwrap_or(default) {
-            Kernel::gaussian(&self.lights)
+            Kernel::gaussian(&self.points())
         } else {
-            Kernel::cross_validated(&self.lights, factors, self.domain)
+            Kernel::cross_validated(&self.points(), factors, self.domain)
         }
     }
 
@@ -283,7 +301,8 @@ impl Job<'_> {
             (0..k).map(|i| f64::from(table[(l, 3 * i + j % 3)]) * root[(i, j / 3)]).sum()
         });
         let kernel = self.kernel(false, &factors);
-        let angular = Angular::Lights { colour: true, lights: self.lights.clone(), table, kernel };
+        let angular =
+            Angular::Lights { colour: true, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
         Ok(Field { tiles, ..self.field(found.textures, angular) })
     }
 
@@ -383,7 +402,8 @@ impl Job<'_> {
         (self.progress)("interpolating");
         let factors = vectors * products.map(f64::sqrt);
         let kernel = self.kernel(true, &factors);
-        let angular = Angular::Lights { colour: false, lights: self.lights.clone(), table, kernel };
+        let angular =
+            Angular::Lights { colour: false, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
         Ok(self.field(layers, angular))
     }
 

@@ -23,6 +23,7 @@ pub mod matrix;
 pub mod measure;
 pub mod names;
 pub mod pca;
+mod preview;
 pub mod probe;
 mod relight;
 pub mod relightlab;

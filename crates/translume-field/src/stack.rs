@@ -108,6 +108,11 @@ impl Stack {
         Ok(stack)
     }
 
+    /// The directions to the camera, where the pictures differ in that; else none.
+    pub fn views(&self) -> Vec<[f32; 3]> {
+        self.shots.iter().filter_map(|s| s.view).collect()
+    }
+
     /// Number of pixels of a picture.
     pub fn pixels(&self) -> usize {
         self.width * self.height
@@ -238,8 +243,9 @@ mod tests {
     fn a_highlight_does_not_decide_what_is_white() {
         let dir = tempfile::tempdir().unwrap();
         let white = |highlight: f32| {
-            let shots: Vec<Shot> =
-                (0..3).map(|i| Shot { path: dir.path().join(format!("{i}.exr")), light: [0.0, 0.0, 1.0] }).collect();
+            let shots: Vec<Shot> = (0..3)
+                .map(|i| Shot { path: dir.path().join(format!("{i}.exr")), light: [0.0, 0.0, 1.0], view: None })
+                .collect();
             for shot in &shots {
                 let light = |i: usize| match i {
                     ..1920 => 0.0,

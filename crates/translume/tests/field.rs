@@ -324,7 +324,7 @@ fn stacks_that_are_none_are_refused() {
     refused(here, &["--model", "log-pca", "--terms", "7"], 1, "7 terms: 6 pictures give at most 6");
     refused(here, &["--terms", "0"], 1, "no terms");
     refused(here, &["--model", "hsh"], 1, "6 lights do not determine the 9 terms");
-    refused(here, &["--model", "ptm", "--codec", "bc4"], 1, "three channels: bc1, bc7 or rgb8");
+    refused(here, &["--model", "ptm", "--codec", "bc4"], 1, "three channels: bc1, bc6h, bc7 or rgb8");
     refused(here, &["--model", "ptm", "--terms", "6"], 2, "fixed number of terms");
     refused(here, &["--model", "ptm", "--delta", "0.1"], 2, "no logarithm");
     refused(here, &["--delta", "-1"], 2, "positive");

@@ -109,8 +109,12 @@ enum CodecName {
     Bc1,
     /// One channel, 4 bits a texel
     Bc4,
+    /// Three channels, 8 bits a texel, ends of 10 to 16 bits
+    Bc6h,
     /// Three channels, 8 bits a texel
     Bc7,
+    /// One plane, 16 bits a texel
+    R16,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -165,7 +169,9 @@ impl Args {
                 CodecName::Rgb8 => Codec::Rgb8,
                 CodecName::Bc1 => Codec::Bc1,
                 CodecName::Bc4 => Codec::Bc4,
+                CodecName::Bc6h => Codec::Bc6h,
                 CodecName::Bc7 => Codec::Bc7,
+                CodecName::R16 => Codec::R16,
             }),
             gaussian: self.interpolation.map(|b| matches!(b, Between::Gaussian)),
             tiling: match self.tiles {
@@ -200,7 +206,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     for warning in &stack.warnings {
         ctx.warn(warning);
     }
-    file::write(&args.output, &field, &ctx.command_line)?;
+    file::write(&args.output, &field, &ctx.command_line, args.bytes.map(|b| b as usize))?;
     bar.finish_and_clear();
     let bytes = std::fs::metadata(&args.output)?.len();
     let mut object = super::describe(&field, bytes);

@@ -120,7 +120,7 @@ fn ball(text: &str) -> Result<Ball, String> {
 pub(super) fn import(args: &ImportArgs, ctx: &Context) -> anyhow::Result<()> {
     super::compress::prepare(&args.output)?;
     let field = relightlab::import(&args.folder)?;
-    file::write(&args.output, &field, &ctx.command_line)?;
+    file::write(&args.output, &field, &ctx.command_line, None)?;
     let bytes = std::fs::metadata(&args.output)?.len();
     ctx.text(format_args!(
         "{}: {} × {}, {} planes, {bytes} bytes",
@@ -169,7 +169,7 @@ pub(super) fn lights(args: &LightsArgs, ctx: &Context) -> anyhow::Result<()> {
         bar.inc(1);
     }
     let shots: Vec<Shot> =
-        named.iter().zip(&found).map(|(p, l)| Shot { path: p.clone(), light: l.direction }).collect();
+        named.iter().zip(&found).map(|(p, l)| Shot { path: p.clone(), light: l.direction, view: None }).collect();
     let folder = args.output.parent().unwrap_or(std::path::Path::new(""));
     atomic::write_bytes(&args.output, to_lp(&shots, folder).as_bytes())?;
     ctx.text(format_args!("{}: {} directions", args.output.display(), shots.len()))?;
