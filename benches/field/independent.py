@@ -3,7 +3,7 @@ and texture2ddecoder (all from PyPI); check also needs OpenEXR.
 
     independent.py blocks FILE                      writes blocks of each codec and what others decode them to: the fixture of
                                                     crates/translume-field/tests/decoders.rs
-    independent.py check FIELD X,Y,Z PICTURE.exr    lights FIELD from a light of its stack and compares with the picture of
+    independent.py check FIELD X,Y,Z PICTURE.exr    lights FIELD and compares with the picture of
                                                     `translume field relight FIELD --light X,Y,Z -o PICTURE.exr`
 """
 import io
@@ -133,15 +133,49 @@ def read(path):
     return field, view, [(p[:h, :w], there[:h, :w]) for p, there in pictures]
 
 
-def light(path, direction):
-    """Light of the texels under the light of the stack that is nearest to `direction`."""
-    field, view, layers = read(path)
+def covariance(kernel, domain, a, b):
+    """k of each row of `a` with each of `b`, without the scale of the matt part; and that part's own values."""
+    d = np.linalg.norm(a[:, None] - b[None], axis=-1)
+    if kernel["kind"] == "gaussian":
+        return np.exp(-((d / kernel["width"]) ** 2)), None
+    i = np.arange(256)
+    s2, angle = (i + 0.5) / 256, np.pi * (1 + 5**0.5) * i
+    normals = np.stack([np.sqrt(s2) * np.cos(angle), np.sqrt(s2) * np.sin(angle), np.sqrt(1 - s2)])
+
+    def slopes(l):
+        light = np.maximum(l[:, :3] @ normals, 0)[:, :, None] * [0.1, 0.3, 0.7]
+        return (np.log(domain["delta"] + light) if domain["kind"] == "log" else light).reshape(len(l), -1)
+
+    q = np.sqrt(3) * d / kernel["width"]
+    return kernel["rough"] * (1 + q) * np.exp(-q) + 1e4, slopes(a) @ slopes(b).T
+
+
+def weights_at(field, view, direction):
+    """The row of weights for a light; `direction` has six numbers where the field has several views."""
     weights = field["weights"]
     assert weights["kind"] == "lights", "fields with weights by light only"
-    directions = np.frombuffer(view(weights["directionsView"]), "<f4").reshape(-1, 3)
+    at = np.frombuffer(view(weights["directionsView"]), "<f4").reshape(-1, 3)
+    if "viewsView" in weights:
+        at = np.hstack([at, np.frombuffer(view(weights["viewsView"]), "<f4").reshape(-1, 3)])
+    at = at.astype(float)
     codes = np.frombuffer(view(weights["weightsView"]), "<u2" if weights["bits"] == 16 else "u1").reshape(weights["count"], -1)
     low, high = np.array(weights["low"]), np.array(weights["high"])
-    row = (low + codes / (2 ** weights["bits"] - 1) * (high - low))[np.argmax(directions @ direction)]
+    table = low + codes / (2 ** weights["bits"] - 1) * (high - low)
+    kernel, domain = weights["kernel"], field["domain"]
+    among, matt = covariance(kernel, domain, at, at)
+    here, matt_here = covariance(kernel, domain, direction[None], at)
+    if matt is not None:
+        scale = (1 - kernel["rough"]) * len(at) / np.trace(matt)
+        among, here = among + scale * matt, here + scale * matt_here
+        among = among + kernel["noise"] * np.eye(len(at))
+    return (here @ np.linalg.solve(among, table))[0]
+
+
+def light(path, direction):
+    """Light of the texels under a light."""
+    field, view, layers = read(path)
+    weights = field["weights"]
+    row = weights_at(field, view, direction)
     sums = np.zeros((field["height"], field["width"], 3))
     at = 0
     if weights["colour"]:
@@ -167,7 +201,8 @@ def check(path, direction, picture):
     import OpenEXR
 
     direction = np.array([float(v) for v in direction.split(",")])
-    got, white = light(path, direction / np.linalg.norm(direction))
+    direction[:3] /= np.linalg.norm(direction[:3])
+    got, white = light(path, direction)
     channels = OpenEXR.File(picture).channels()
     truth = channels["RGB"].pixels if "RGB" in channels else np.dstack([channels[c].pixels for c in "RGB"])
     shown = lambda v: np.clip(v / white, 0, 1) ** (1 / 2.2)
