@@ -90,6 +90,7 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
     )];
     let scale = match field.domain {
         Domain::Log { delta } => format!("ln(δ + x), δ = {delta} of white"),
+        Domain::Root { delta } => format!("ln(δ + √x), δ = {delta}"),
         Domain::Linear => "linear".into(),
         Domain::Display => "sRGB curve".into(),
         Domain::Pu21 => "PU21".into(),
