@@ -144,7 +144,8 @@ def covariance(kernel, domain, a, b):
 
     def slopes(l):
         light = np.maximum(l[:, :3] @ normals, 0)[:, :, None] * [0.1, 0.3, 0.7]
-        return (np.log(domain["delta"] + light) if domain["kind"] == "log" else light).reshape(len(l), -1)
+        scale = {"log": lambda x: np.log(domain["delta"] + x), "root": lambda x: np.log(domain["delta"] + np.sqrt(x)), "linear": lambda x: x}
+        return scale[domain["kind"]](light).reshape(len(l), -1)
 
     q = np.sqrt(3) * d / kernel["width"]
     return kernel["rough"] * (1 + q) * np.exp(-q) + 1e4, slopes(a) @ slopes(b).T
@@ -191,10 +192,9 @@ def light(path, direction):
             sums += values * row[at]
             at += 1
     domain, white = field["domain"], field["white"]
-    if domain["kind"] == "log":
-        return white * np.maximum(np.exp(sums) - domain["delta"], 0), white
-    assert domain["kind"] == "linear", "log and linear fields only"
-    return white * np.maximum(sums, 0), white
+    assert domain["kind"] in ("root", "log", "linear"), "fields on these scales only"
+    values = np.maximum(sums if domain["kind"] == "linear" else np.exp(sums) - domain["delta"], 0)
+    return white * values ** (2 if domain["kind"] == "root" else 1), white
 
 
 def check(path, direction, picture):

@@ -3,8 +3,8 @@
 // 1. The Khronos glTF validator: no errors and no warnings.
 // 2. three.js in a headless Chromium ($CHROMIUM, /usr/bin/chromium) shows the preview; SHOT.png is what it shows.
 // 3. With I and LIT.png: KTX2 textures, read by ktx-parse, go to WebGL as they are; a shader sums the layers with the weights of light I.
-//    It must give LIT.png, which `translume field relight` wrote for that light. For fields of one texture size (--tiles whole) in
-//    log light whose interpolation goes through the lights (--interpolation gaussian).
+//    It must give LIT.png, which `translume field relight` wrote for that light. For fields with whole layers (--tiles whole) on a
+//    scale with a logarithm, whose interpolation goes through the lights (--interpolation gaussian), of 8-bit pictures (white is 1).
 import { createServer } from 'node:http';
 import { readFileSync, writeFileSync } from 'node:fs';
 import { createRequire } from 'node:module';

@@ -125,8 +125,9 @@ window.relit = async (index) => {
   for (let y = 0; y < height; y++) for (let i = 0; i < 4 * width; i++) {
     if (i % 4 === 3) continue;
     // Row 0 of a frame buffer is the lowest.
-    const light = Math.exp(sums[4 * width * (height - 1 - y) + i]) - f.domain.delta;
-    const off = Math.abs(Math.round(255 * srgb(Math.min(Math.max(light, 0), 1))) - truth[4 * width * y + i]);
+    const value = Math.max(Math.exp(sums[4 * width * (height - 1 - y) + i]) - f.domain.delta, 0);
+    const light = f.domain.kind === 'root' ? value * value : value;
+    const off = Math.abs(Math.round(255 * srgb(Math.min(light, 1))) - truth[4 * width * y + i]);
     most = Math.max(most, off);
     squares += (off / 255) ** 2;
   }

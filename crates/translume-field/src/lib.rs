@@ -30,6 +30,7 @@ pub mod relightlab;
 pub mod simulate;
 pub mod sphere;
 mod stack;
+pub mod strength;
 pub mod texture;
 pub mod tiles;
 

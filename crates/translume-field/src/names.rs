@@ -41,7 +41,7 @@ pub fn find(folder: &Path, pattern: &str) -> Result<(Vec<Shot>, usize)> {
         let light =
             normalised(light.map(|v| v as f32)).ok_or_else(|| Error::invalid(&path, "the name holds no direction"))?;
         let view = parts.contains(&Part::Number(5)).then(|| polar(vtheta, vphi).map(|v| v as f32));
-        shots.push(Shot { path, light, view });
+        shots.push(Shot { view, ..Shot::new(path, light) });
     }
     Ok((shots, others))
 }

@@ -526,7 +526,7 @@ fn planes_go_out_to_relightlab_and_come_back() {
 #[test]
 fn a_ball_gives_the_directions_of_the_lights() {
     let dir = tempfile::tempdir().unwrap();
-    let lights = lights(5);
+    let lights = lights(12);
     for (i, l) in lights.iter().enumerate() {
         let ball = Rgb32FImage::from_fn(64, 64, |x, y| {
             let (nx, ny) = ((x as f32 - 32.0) / 28.0, (32.0 - y as f32) / 28.0);
@@ -545,6 +545,28 @@ fn a_ball_gives_the_directions_of_the_lights() {
     }
     // The list is one that compress takes.
     run(&["field", "compress", ".", "-o", "f.glb", "--terms", "3"]).ok();
+    // The ball in other files, one of which has no partner; strengths in the list, by which compress divides.
+    std::fs::create_dir(dir.path().join("objects")).unwrap();
+    for i in 0..12 {
+        let mut object = read_picture(&dir.path().join(format!("b{i}.exr"))).unwrap().pixels;
+        object.pixels_mut().for_each(|p| p.0 = p.0.map(|v| v * (1.0 + i as f32 * 0.1)));
+        write(&dir.path().join(format!("objects/b{i}.exr")), object);
+    }
+    std::fs::copy(dir.path().join("b0.exr"), dir.path().join("without.exr")).unwrap();
+    let ball = ["field", "lights", ".", "--ball", "32,32,28", "--surface", "matt", "--pictures", "objects"];
+    let made = run(&[&ball[..], &["-o", "objects/lights.csv"]].concat());
+    assert!(made.stderr.contains("1 pictures have no partner"), "{}", made.stderr);
+    assert!(made.ok().contains("12 directions, strengths from 1.00 to 1.00"));
+    // From the object itself.
+    let own = ["field", "lights", "objects", "--lights", "objects/lights.csv", "--strengths", "--json", "-o"];
+    let found = json(&run(&[&own[..], &["objects/lights.csv"]].concat()).ok());
+    for i in 0..12 {
+        let (strength, truth) = (found["lights"][i]["strength"].as_f64().unwrap(), (1.0 + 0.1 * i as f64) / 1.55);
+        assert!((strength / truth - 1.0).abs() < 0.1, "{i}: {strength} for {truth}");
+    }
+    run(&["field", "compress", "objects", "-o", "o.glb", "--terms", "6"]).ok();
+    run(&["field", "relight", "o.glb", "--light", "0,0,1", "-o", "o.exr"]).ok();
+    assert!(run(&[&own[..], &["x.lp"]].concat()).error(2).contains(".csv"));
     let error = run(&["field", "lights", ".", "--ball", "500,32,28", "-o", "b.lp"]).error(1);
     assert!(error.contains("b0.exr: the ball at (500, 32)"), "{error}");
     assert!(run(&["field", "lights", ".", "--ball", "32,32", "-o", "b.lp"]).error(2).contains("x,y,r"));
