@@ -70,6 +70,9 @@ pub(crate) struct Args {
     /// Light passes of gkernel, which share out the samples [default: as many as samples]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     steps: Option<u64>,
+    /// gkernel without its small bias: converges to what path finds; slower
+    #[arg(long)]
+    unbiased: bool,
     /// Width and height in pixels [default: the scene's]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
@@ -151,7 +154,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
     let (name, settings) = method(&args, &scene, ctx);
-    let method_options = with_steps(&args, &name)?;
+    let method_options = with_flags(&args, &name)?;
     let integrator =
         integrator::with_options(&name, settings, &method_options).map_err(|e| Usage(format!("--option: {e}")))?;
     integrator.check(&world).with_context(|| args.scene.display().to_string())?;
@@ -177,9 +180,14 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     reporter.finish(&film, &name, &progress, loaded, told(&*integrator, &shot, &progress))
 }
 
-/// The options of the method, the camera paths that `--steps` leaves to each light pass among them.
-fn with_steps(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
+/// The options of the method, with what flags say: the camera paths that `--steps` leaves to each light pass.
+fn with_flags(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
     let mut options = args.options.clone();
+    if args.unbiased && name == "gkernel" {
+        options.push(("unbiased".into(), "true".into()));
+    } else if args.unbiased {
+        return Err(Usage(format!("--unbiased is a mode of gkernel, not of {name}")));
+    }
     let Some(steps) = args.steps else { return Ok(options) };
     if name != "gkernel" {
         return Err(Usage(format!("--steps are the light passes of gkernel; {name} has none")));
