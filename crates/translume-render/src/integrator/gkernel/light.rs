@@ -9,7 +9,7 @@ use super::weight::{Way, Weighing};
 use crate::light::{End, LightStart, Starts};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
-use crate::{PathSampler, Rgb};
+use crate::{PathSampler, Rgb, luminance};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
@@ -123,6 +123,30 @@ impl LightVertex {
     #[inline]
     pub(crate) fn cos(&self) -> f32 {
         self.hit.n().dot(self.hit.wo).abs()
+    }
+}
+
+/// What choosing among links takes of a light vertex, in one line of the cache.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Brief {
+    /// Unit direction back to the parent.
+    pub(crate) wo: Vec3,
+    /// Luminance of the throughput over R², over cos θ as well where it is a link.
+    pub(crate) gain: f32,
+    /// Eq. 10.
+    pub(crate) printed: f32,
+    pub(crate) pdf: f32,
+    pub(crate) back: f32,
+    pub(crate) behind: f32,
+    pub(crate) way: Way,
+}
+
+impl Brief {
+    pub(crate) fn new(v: &LightVertex) -> Self {
+        let (way, area) = (v.way(), v.radius * v.radius);
+        let cos = if way == Way::Merge { 1.0 } else { v.cos() };
+        let gain = luminance(v.throughput) / (area * cos);
+        Self { wo: v.hit.wo, gain, printed: 1.0 / (area * v.cos()), pdf: v.pdf, back: v.back, behind: v.behind, way }
     }
 }
 
@@ -251,7 +275,10 @@ impl LightPaths {
             behind,
             back,
             segments: v.segments.min(u16::MAX.into()) as u16,
-            flags: u8::from(v.parent == NONE) * FIRST | u8::from(linked) * LINKED | u8::from(merged) * MERGED,
+            flags: [(v.parent == NONE, FIRST), (linked, LINKED), (merged, MERGED)]
+                .map(|(is, flag)| u8::from(is) * flag)
+                .iter()
+                .sum(),
         }
     }
 

@@ -11,7 +11,7 @@
 
 use super::super::direct::MOST_CROSSINGS;
 use super::eye::EyeVertex;
-use super::light::{Bandwidth, LightPaths, LightVertex, Reach};
+use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
 use super::points::Points;
 use super::weight::{Way, Weighing};
@@ -381,11 +381,11 @@ impl<'a> Linker<'a> {
 
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
     #[inline]
-    pub(crate) fn likely_weight(&self, v: &LightVertex, y: &EyeVertex) -> f32 {
-        let own = self.weighing.own(v.way(), v.pdf);
+    pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
+        let own = self.weighing.own(v.way, v.pdf);
         let back = y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI * y.back;
         let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
-        let light = self.weighing.times(y.hit.n().dot(v.hit.wo).abs() * FRAC_1_PI * v.back, v.behind);
+        let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind);
         own / (own + camera + light)
     }
 

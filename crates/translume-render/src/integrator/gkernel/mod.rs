@@ -34,7 +34,7 @@ use crate::subpath::{Limits, Vertex};
 use crate::world::World;
 use crate::{Result, Rgb, luminance};
 use eye::{Eye, EyeVertex};
-use light::{Bandwidth, LightPaths, LightVertex, Request};
+use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
 use method::Method;
 pub(crate) use method::OPTIONS;
@@ -44,7 +44,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use weight::Weighing;
+use weight::{Way, Weighing};
 
 /// See the module.
 pub struct GKernel {
@@ -216,15 +216,12 @@ impl GKernel {
 
     /// How likely a candidate becomes a trial link, relative to the others: what it would bring if the surface were white
     /// and nothing stood between.
-    fn strength(&self, linker: &Linker, light: u32, eye: &EyeVertex) -> f32 {
-        let v = &linker.lights.vertices[light as usize];
-        let area = v.radius * v.radius;
+    fn strength(&self, linker: &Linker, v: &Brief, eye: &EyeVertex) -> f32 {
         if !self.method.target {
-            return 1.0 / (area * v.cos()); // eq. 10
+            return v.printed;
         }
-        let cos_y = eye.hit.n().dot(v.hit.wo).abs();
-        let across = if v.merged() { area } else { area * v.cos() / (cos_y + 0.05) };
-        luminance(v.throughput) * luminance(eye.throughput) * (linker.likely_weight(v, eye) + 0.02) / across
+        let cos_y = if v.way == Way::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
+        v.gain * cos_y * luminance(eye.throughput) * (linker.likely_weight(v, eye) + 0.02)
     }
 
     /// One block of tiles: one camera path more for each pixel.
@@ -234,7 +231,7 @@ impl GKernel {
         tiles: &mut [Tile],
         aovs: &[crate::film::Aov],
         (first_tile, sample): (usize, u64),
-        linker: &Linker,
+        (linker, briefs): (&Linker, &[Brief]),
         pilot: &Pilot,
     ) -> u64 {
         let mut parts: Vec<Block> = tiles
@@ -258,7 +255,7 @@ impl GKernel {
             rays += part.rays;
         }
         let candidates = Candidates::find(linker.lights, &link::tree(&eyes), eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, light, eye);
+        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &briefs[light as usize], eye);
         let links = candidates.select(&eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes);
         let mut unoccluded = 0;
@@ -297,6 +294,7 @@ impl Integrator for GKernel {
         let weighing = self.weighing(pilot.scale, &bandwidth, self.light_paths(shot));
         let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
         let lights = LightPaths::trace(&request);
+        let briefs: Vec<Brief> = lights.vertices.iter().map(Brief::new).collect();
         let mut rays = lights.rays;
         let aovs = film.aovs().to_vec();
         let whole = film.tiles.len();
@@ -312,7 +310,7 @@ impl Integrator for GKernel {
                 let tiles = &mut film.tiles[first_tile..(first_tile + tiles_at_once).min(whole)];
                 // After an interruption some blocks are a sample ahead.
                 if tiles.iter().all(|t| t.samples == sample) {
-                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), &linker, pilot);
+                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), (&linker, &briefs), pilot);
                 }
             }
         }

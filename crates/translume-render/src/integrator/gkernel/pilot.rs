@@ -7,7 +7,7 @@
 
 use super::super::direct::MOST_CROSSINGS;
 use super::eye::EyeVertex;
-use super::light::LightPaths;
+use super::light::{Brief, LightPaths};
 use super::link::{self, Candidates};
 use super::weight::Weighing;
 use super::{Block, GKernel, MOST_TRIALS};
@@ -127,7 +127,8 @@ impl GKernel {
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;
         let candidates = Candidates::find(&lights, &link::tree(eyes), eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(&linker, light, eye);
+        let strength =
+            |light: u32, eye: &EyeVertex| self.strength(&linker, &Brief::new(&lights.vertices[light as usize]), eye);
         let trials = |_| 3.0 * self.links;
         let links = candidates.select(eyes, &self.groups(eyes), (shot.seed, STEP), trials, strength);
         // One link seen and one not for a start: what is not known is asked for moderately.
