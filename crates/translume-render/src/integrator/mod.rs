@@ -125,6 +125,9 @@ pub trait Integrator: Send + Sync {
     /// Called when a render begins, before the first sample: what is computed once for a picture.
     fn prepare(&self, _world: &World, _seed: u64) {}
 
+    /// Called before the first of several views of one scene: what serves all of them may be kept.
+    fn prepare_views(&self, _shots: &[Shot]) {}
+
     /// Names of the parts that [`Work::tally`] counts: of the number `part`.
     fn part(&self, part: usize) -> String {
         part.to_string()
@@ -230,16 +233,7 @@ pub const INTEGRATORS: [Entry; 5] = [
     Entry {
         name: "gkernel",
         about: "the generalized kernel method, for many lights (nearly unbiased); no media",
-        options: &[
-            Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
-            Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
-            Choice {
-                name: "deeper-links",
-                default: "30",
-                about: "links beyond the first surface, in percent of those there",
-            },
-            Choice { name: "printed", default: "false", about: "the method as in the paper of 2003, darker at edges" },
-        ],
+        options: &gkernel::OPTIONS,
         make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
     },
 ];
