@@ -30,7 +30,7 @@ Examples:
     translume field lights dome/ --ball 412.5,300,58 -o dome/dome.lp
 
   The ball was cut out into a folder of its own, in the same order:
-    translume field lights probe/ --ball 535.9,521,421.1 --pictures objects/ -o objects/lights.lp
+    translume field lights probe/ --ball 535.9,478,421.1 --pictures objects/ -o objects/lights.lp
 
   A grey ball: directions and strengths:
     translume field lights dome/ --ball 80,95,40 --surface matt -o dome/lights.csv
@@ -98,6 +98,9 @@ pub(crate) struct LightsArgs {
     /// Estimate how strong each light was from the pictures that the list is for, which show something mostly matt
     #[arg(long)]
     strengths: bool,
+    /// For the strengths: 8 and 16-bit pictures hold light as it is, not codes for a display
+    #[arg(long, requires = "strengths")]
+    linear_codes: bool,
     /// What the ball is made of
     #[arg(long, value_enum, default_value = "mirror")]
     surface: SurfaceName,
@@ -174,7 +177,8 @@ pub(super) fn lights(args: &LightsArgs, ctx: &Context) -> anyhow::Result<()> {
         (None, None) => return Err(Usage("give --ball or --lights".into()).into()),
     };
     if args.strengths {
-        let found = strength::estimate(&Stack::of(&args.folder, shots.clone())?)?;
+        let stack = Stack { linear: args.linear_codes, ..Stack::of(&args.folder, shots.clone())? };
+        let found = strength::estimate(&stack)?;
         strengths = found.iter().zip(&shots).map(|(found, shot)| found * shot.strength).collect();
     }
     let mean = strengths.iter().sum::<f32>() / strengths.len() as f32;
