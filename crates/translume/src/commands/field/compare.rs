@@ -118,10 +118,10 @@ fn report(
     let bar = ctx.progress(4 * stack.shots.len() as u64, "report");
     let log = measure::curve(stack, Domain::THESIS, most, &|| bar.inc(1))?;
     let linear = measure::curve(stack, Domain::Linear, most, &|| bar.inc(1))?;
-    atomic::write_bytes(&dir.join("rms.svg"), plot(&log, &linear, (field.layers.len(), rms)).as_bytes())?;
     // The thesis' two methods at as many terms as the field has bytes for, 4 bits a texel and term.
-    let terms =
-        (field.texture_bytes() / translume_field::texture::Codec::Bc1.bytes(field.width, field.height)).clamp(1, most);
+    let equal = (field.texture_bytes() / translume_field::texture::Codec::Bc1.bytes(field.width, field.height)).max(1);
+    let terms = equal.min(most);
+    atomic::write_bytes(&dir.join("rms.svg"), plot(&log, &linear, (equal, rms)).as_bytes())?;
     let mut others = Vec::new();
     for (name, model) in [("linear PCA", Model::LinearPca), ("log PCA", Model::LogPca)] {
         let params = Params { model, rate: Rate::Terms(terms), ..Params::default() };
@@ -161,7 +161,7 @@ fn report(
     let chapter = Chapter {
         title: format!("{} × {}, {} lights, {bytes} bytes", field.width, field.height, stack.shots.len()),
         html: "<p>Errors of what a display shows (white of the stack, gamma 2.2). The curves are decompositions in floats, \
-               nothing quantised; the point is this field as it is in its file.</p>"
+               nothing quantised; the point is this field as it is in its file, at as many terms of 4 bits a texel as it has bytes.</p>"
             .into(),
         pictures: rows,
         figures: table,
