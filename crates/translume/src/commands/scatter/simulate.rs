@@ -5,7 +5,7 @@ use crate::output::Context;
 use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use translume_mesh::{ReadOptions, TriMesh};
+use translume_mesh::ReadOptions;
 use translume_scatter::simulate::{CaptureParams, Local, Medium, Procedural, Solid, capture_slab, capture_solid};
 
 const EXAMPLES: &str = "\
@@ -254,37 +254,13 @@ fn load_solid(file: &Path, size: Option<f64>) -> anyhow::Result<Solid> {
     }
     let loaded = translume_mesh::read(file, &ReadOptions::default())?;
     let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
-    let mut mesh = compact(&mesh.ok_or_else(|| anyhow!("{}: no triangles", file.display()))?);
+    let mut mesh = mesh.ok_or_else(|| anyhow!("{}: no triangles", file.display()))?.compacted();
     if let Some(size) = size {
         let longest = mesh.bounds().extent().max_element();
         let factor = (size / f64::from(longest)) as f32;
         mesh.positions.iter_mut().flatten().for_each(|x| *x *= factor);
     }
     Solid::new(mesh).map_err(|what| anyhow!("{}: {what}", file.display()))
-}
-
-/// Positions and triangles alone: one vertex for each position (files split them at seams of texture, and light does not
-/// care), without vertices that no triangle uses and without triangles of fewer than three corners.
-fn compact(mesh: &TriMesh) -> TriMesh {
-    let (weld, positions) = mesh.weld();
-    let mut number = vec![u32::MAX; positions];
-    let mut out = TriMesh::default();
-    for triangle in &mesh.indices {
-        let [a, b, c] = triangle.map(|i| weld[i as usize]);
-        if a == b || b == c || c == a {
-            continue;
-        }
-        let index = triangle.map(|i| {
-            let n = &mut number[weld[i as usize] as usize];
-            if *n == u32::MAX {
-                *n = out.positions.len() as u32;
-                out.positions.push(mesh.positions[i as usize]);
-            }
-            *n
-        });
-        out.indices.push(index);
-    }
-    out
 }
 
 fn medium(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Context) -> anyhow::Result<Medium> {
