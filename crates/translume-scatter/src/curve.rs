@@ -1,7 +1,7 @@
 //! What a fit says about one direction: a fall-off of reflectance with distance.
 
-use crate::diffusion::{Dipole, Normalized, Sources};
 use serde::{Deserialize, Serialize};
+use translume_bxdf::{Dipole, Normalized, Sources};
 
 /// R(r) = Σ c_k e^{d_k r} [Fuchs 2005, Eq. 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

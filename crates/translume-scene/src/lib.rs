@@ -33,7 +33,8 @@ mod vol;
 pub use error::{Error, Result};
 pub use glam;
 pub use scene::{
-    Geometry, Group, GroupId, Instance, Integrator, LoadOptions, MaterialId, MediumId, Scene, Shape, TextureId,
+    BssrdfLoader, Geometry, Group, GroupId, Instance, Integrator, LoadOptions, MaterialId, MediumId, Scene, Shape,
+    TextureId,
 };
 use std::path::Path;
 

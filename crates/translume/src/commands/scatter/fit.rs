@@ -225,6 +225,8 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
         threshold: args.threshold,
         channels: capture.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
         frames: capture.spots.iter().map(|s| s.frame).collect(),
+        eta: capture.capture.rig.eta,
+        cameras: capture.capture.rig.views.iter().map(|v| v.camera.clone()).collect(),
         gains: capture.gains.clone(),
     };
     let [.., rows, columns] = capture.capture.frames.shape;
@@ -274,6 +276,7 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
         terms: params.fit.terms,
         threshold: args.threshold,
         channels: mesh.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
+        eta: mesh.capture.rig.eta,
     };
     save_vertex_model(&args.output, &head, &model, &mesh)?;
     let vertices = model.vertices.len();
