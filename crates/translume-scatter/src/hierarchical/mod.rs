@@ -41,7 +41,7 @@ pub use complete::{Completion, Solver, complete};
 pub use file::{
     HIERARCHICAL_FORMAT, HIERARCHICAL_VERSION, HierarchicalHead, load_hierarchical, read_head, save_hierarchical,
 };
-pub use model::{Hierarchical, HierarchicalParams, Step, Told, fit_hierarchical};
+pub use model::{Corners, Hierarchical, HierarchicalParams, Step, Told, fit_hierarchical};
 pub use pairs::{Measured, Throughput};
 pub use stage::{Losses, Stage};
 pub(crate) use views::hidden;

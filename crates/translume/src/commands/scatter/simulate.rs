@@ -105,6 +105,9 @@ pub(super) struct Args {
     /// Rig error: deviation of the heights of the mesh
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     geometry_error: f64,
+    /// Save the medium as PREFIX-sigma_t.vol and PREFIX-albedo.vol, for `render`
+    #[arg(long, value_name = "PREFIX")]
+    save_medium: Option<PathBuf>,
     /// Pattern of the medium
     #[arg(long, value_name = "N", default_value_t = 1)]
     pattern: u64,
@@ -219,6 +222,9 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let solid = args.mesh.as_deref().map(|file| load_solid(file, args.mesh_size)).transpose()?;
     let params = params(args, solid.as_ref())?;
     let medium = medium(args, &params, solid.as_ref(), ctx)?;
+    if let Some(prefix) = &args.save_medium {
+        save_medium(prefix, &medium)?;
+    }
     let parent = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
     let beside = beside.map_err(|e| anyhow!("{}: {e}", parent.display()))?;
@@ -269,6 +275,22 @@ fn medium(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Cont
         Some(solid) => procedural.fill(args.pattern, solid.bounds(), |p| solid.depth(p)),
         None => procedural.build(args.pattern),
     })
+}
+
+/// Extinction and albedo, three channels each, as grids of Mitsuba's format.
+fn save_medium(prefix: &Path, medium: &Medium) -> anyhow::Result<()> {
+    let (size, corners, cells) = medium.cells();
+    let corners = corners.map(translume_mesh::glam::DVec3::from_array);
+    let extinction = |c: &Local| c.sigma_a.map(|a| a + c.sigma_s);
+    let sigma_t: Vec<f32> = cells.iter().flat_map(extinction).collect();
+    let albedo: Vec<f32> = cells.iter().flat_map(|c| extinction(c).map(|t| c.sigma_s / t.max(1e-30))).collect();
+    for (name, values) in [("sigma_t", sigma_t), ("albedo", albedo)] {
+        let mut file = prefix.as_os_str().to_owned();
+        file.push(format!("-{name}.vol"));
+        let bytes = translume_scene::grid_bytes(size, 3, corners, &values);
+        translume_image::atomic::write_bytes(Path::new(&file), &bytes)?;
+    }
+    Ok(())
 }
 
 /// The numbers of a grid as extinction, its box stretched over the mesh, or for a slab over the frame and the depth.
