@@ -43,5 +43,6 @@ pub use file::{
 };
 pub use model::{Corners, Hierarchical, HierarchicalParams, Step, Told, fit_hierarchical};
 pub use pairs::{Measured, Throughput};
+pub use resample::{Kernels, resample};
 pub use stage::{Losses, Stage};
 pub(crate) use views::hidden;

@@ -80,9 +80,9 @@ pub fn fit_hierarchical(
         complete(&mesh, measured, params.solver, || progress(Step::Completed)).ok_or_else(nothing)?;
     flatten(&mut throughput, &mesh, &stage.atlas);
     let (detail, detail_weight) = detail(&stage, &throughput, || progress(Step::Detailed))?;
-    let measured_kernels = candidates.iter().flatten().count();
+    let measured_kernels = candidates.measured();
     let no_kernel = || Error::invalid(&stage.capture.path, "no laser spot is seen well enough for a local kernel");
-    let records = Records::fill(&stage.atlas, &candidates).ok_or_else(no_kernel)?;
+    let records = Records::fill(&stage.atlas, &candidates.0).ok_or_else(no_kernel)?;
     let kernels = records.split(&mesh, &stage.atlas, &throughput, &detail);
     let told = Told { losses: stage.losses, completion, measured_kernels };
     let model = Hierarchical {

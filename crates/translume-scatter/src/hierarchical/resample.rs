@@ -171,6 +171,16 @@ fn clip_level(frame: &[f32]) -> f32 {
     if many { most } else { f32::INFINITY }
 }
 
+/// For each texel the kernel whose spot is best centred on it.
+pub struct Kernels(pub(super) Vec<Option<Candidate>>);
+
+impl Kernels {
+    /// Texels with a kernel.
+    pub fn measured(&self) -> usize {
+        self.0.iter().flatten().count()
+    }
+}
+
 /// What a laser position tells.
 struct Response {
     /// Vertex, R_d, weight.
@@ -178,11 +188,11 @@ struct Response {
     kernels: Vec<Candidate>,
 }
 
-/// Resamples all frames once: measurements between vertices, and for each texel the kernel whose spot is best centred on it.
+/// Resamples all frames once.
 ///
 /// # Errors
 /// Those of reading frames.
-pub(super) fn resample(stage: &mut Stage, progress: impl Fn() + Sync) -> Result<(Measured, Vec<Option<Candidate>>)> {
+pub fn resample(stage: &mut Stage, progress: impl Fn() + Sync) -> Result<(Measured, Kernels)> {
     let colours = Colours::new();
     let mut measured = Measured::new(stage.surface.mesh.positions.len());
     let mut kernels: Vec<Option<Candidate>> = vec![None; stage.atlas.texels.len()];
@@ -206,7 +216,7 @@ pub(super) fn resample(stage: &mut Stage, progress: impl Fn() + Sync) -> Result<
         }
     }
     stage.losses = losses;
-    Ok((measured, kernels))
+    Ok((measured, Kernels(kernels)))
 }
 
 fn count(losses: &mut Losses, failure: &Failure) {
