@@ -7,8 +7,8 @@ use std::path::Path;
 use std::time::Instant;
 use translume_scatter::capture::Surface;
 use translume_scatter::hierarchical::{
-    HIERARCHICAL_FORMAT, HIERARCHICAL_VERSION, Hierarchical, HierarchicalHead, Throughput, load_hierarchical,
-    save_hierarchical,
+    AtlasParams, HIERARCHICAL_FORMAT, HIERARCHICAL_VERSION, Hierarchical, HierarchicalHead, Throughput,
+    load_hierarchical, save_hierarchical,
 };
 use translume_scatter::relight::{Light, Part, Relighter, Sight, Sources};
 
@@ -17,10 +17,17 @@ const FRAMES: usize = 60;
 pub(crate) fn run() -> anyhow::Result<()> {
     let mesh = bumpy(67);
     let at: Vec<Vec3> = mesh.positions.iter().map(|&p| p.into()).collect();
+    // As many kernels as the paper's models have.
+    let params = AtlasParams { per_edge: 5.2, ..AtlasParams::default() };
     // Kernels by distance alone; F with the heterogeneity.
-    let mut model =
-        Hierarchical::from_transfer(mesh, 1.3, |_, d| reflectance(Vec3::ZERO, Vec3::new(d, 0.0, 0.0)), |_, _| [1.0; 3])
-            .expect("it has an area");
+    let mut model = Hierarchical::from_transfer(
+        mesh,
+        1.3,
+        &params,
+        |_, d| reflectance(Vec3::ZERO, Vec3::new(d, 0.0, 0.0)),
+        |_, _| [1.0; 3],
+    )
+    .expect("it has an area");
     model.throughput = Throughput::from_function(at.len(), |a, b| reflectance(at[a], at[b]));
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("model");

@@ -111,10 +111,11 @@ impl Hierarchical {
     pub fn from_transfer(
         mesh: TriMesh,
         eta: f64,
+        params: &AtlasParams,
         transfer: impl Fn(Corners, f32) -> [f32; 3] + Sync,
         modulation: impl Fn(u32, [f32; 2]) -> [f32; 3],
     ) -> Option<Self> {
-        let atlas = Atlas::new(&mesh, &AtlasParams::default())?;
+        let atlas = Atlas::new(&mesh, params)?;
         let at: Vec<Vec3> = mesh.positions.iter().map(|&p| p.into()).collect();
         let vertex = |k: usize| ([k as u32; 3], [1.0, 0.0, 0.0]);
         // F is symmetric, other models need not be.

@@ -26,6 +26,8 @@ const SPOT: f32 = 1.0;
 pub(super) struct Shot {
     view: usize,
     frames: Vec<Vec<f32>>,
+    /// Largest value of the first channel.
+    brightest: f32,
     /// From a frame's values to R_d, without the camera's Fresnel factor.
     scale: Vec<f32>,
     /// R_d of the noise floor times the threshold, as luminance.
@@ -72,11 +74,12 @@ impl Exposure {
                 (0..channels).map(|c| at.gain * (rig.channels[c].white_balance / rig.laser.power[c]) as f32).collect();
             let noise = |c: usize| scale[c] * (stage.threshold * rig.channels[c].noise_floor) as f32;
             let floor = colours.luminance([0, 1, 2].map(|c| noise(c.min(channels - 1))));
-            let clip: Vec<f32> = frames.iter().map(|f| clip_level(f)).collect();
+            let brightest: Vec<f32> = frames.iter().map(|f| brightest(f)).collect();
+            let clip: Vec<f32> = frames.iter().zip(&brightest).map(|(f, b)| clip_level(f, *b)).collect();
             clipped += usize::from(clip.iter().any(|l| l.is_finite()));
-            let bright = |c: usize| frames[c].iter().any(|&l| scale[c] * l > noise(c));
+            let bright = |c: usize| scale[c] * brightest[c] > noise(c);
             match (0..channels).all(bright) {
-                true => shots.push(Shot { view, frames, scale, floor, clip }),
+                true => shots.push(Shot { view, frames, brightest: brightest[0], scale, floor, clip }),
                 false => dark += 1,
             }
         }
@@ -103,13 +106,12 @@ impl Exposure {
                 let camera = &stage.capture.rig.views[shot.view].camera;
                 let Some([x, y]) = camera.project(beam.at.as_dvec3().to_array()) else { return false };
                 let frame = &shot.frames[0];
-                let brightest = frame.iter().copied().fold(0.0f32, f32::max);
                 let reach = 2.0
                     + camera.focal_px * stage.capture.rig.laser.beam_diameter_mm
                         / crate::capture::norm(crate::capture::sub(camera.eye(), beam.at.as_dvec3().to_array()));
                 let around =
                     |c: f64, n: usize| (c - reach).max(0.0) as usize..((c + reach).max(0.0) as usize + 1).min(n);
-                around(y, rows).any(|r| around(x, columns).any(|c| frame[r * columns + c] >= 0.5 * brightest))
+                around(y, rows).any(|r| around(x, columns).any(|c| frame[r * columns + c] >= 0.5 * shot.brightest))
             };
             seeing.any(near)
         }
@@ -164,10 +166,20 @@ impl Shot {
     }
 }
 
+/// The largest finite value of a frame, 0 at least.
+fn brightest(frame: &[f32]) -> f32 {
+    // Lanes of their own, so that the compiler makes vectors of them. NaN is larger than nothing.
+    let mut lanes = [0.0f32; 16];
+    let (blocks, rest) = frame.as_chunks::<16>();
+    let larger = |most: &mut f32, v: f32| *most = if v > *most && v < f32::INFINITY { v } else { *most };
+    blocks.iter().for_each(|b| lanes.iter_mut().zip(b).for_each(|(l, v)| larger(l, *v)));
+    rest.iter().for_each(|v| larger(&mut lanes[0], *v));
+    lanes.into_iter().fold(0.0, f32::max)
+}
+
 /// The value at which a frame is clipped: its largest, if four or more pixels have it exactly.
-fn clip_level(frame: &[f32]) -> f32 {
-    let most = frame.iter().copied().filter(|v| v.is_finite()).fold(f32::NEG_INFINITY, f32::max);
-    let many = most > 0.0 && frame.iter().filter(|&&v| v == most).take(4).count() == 4;
+fn clip_level(frame: &[f32], most: f32) -> f32 {
+    let many = most > 0.0 && frame.iter().map(|&v| u32::from(v == most)).sum::<u32>() >= 4;
     if many { most } else { f32::INFINITY }
 }
 

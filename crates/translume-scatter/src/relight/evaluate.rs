@@ -6,7 +6,7 @@
 
 use super::irradiance::Power;
 use super::lights::{Sight, look};
-use crate::capture::Surface;
+use crate::capture::{Camera, Surface};
 use crate::hierarchical::{Atlas, Hierarchical, RADIUS};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
@@ -60,12 +60,25 @@ const CELLS: usize = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as usize;
 const BLOCK: usize = 32;
 
 impl Relighter {
-    /// Prepares `model` for a view. `surface` is its mesh.
+    /// Prepares `model` for a view. `surface` is its mesh. `None` where the view has no direction.
     pub fn new(model: &Hierarchical, surface: &Surface, sight: &Sight) -> Option<Self> {
-        let order = curve(&model.mesh.positions);
         let samples = samples(model, surface, sight)?;
+        Some(Self::of_samples(model, (sight.width, sight.height), sight.samples, samples))
+    }
+
+    /// Prepares `model` for the camera of a capture, one sample a pixel.
+    pub fn for_camera(model: &Hierarchical, surface: &Surface, camera: &Camera) -> Self {
+        let size = (camera.width, camera.height);
+        let single = |v: [f64; 3]| Vec3::from_array(v.map(|x| x as f32));
+        let direction = |x: f32, y: f32| single(camera.direction([f64::from(x), f64::from(y)]));
+        let samples = cast(model, surface, (size.0, size.1, 1), single(camera.eye()), direction);
+        Self::of_samples(model, size, 1, samples)
+    }
+
+    fn of_samples(model: &Hierarchical, size: (usize, usize), per_side: usize, samples: Vec<Sample>) -> Self {
+        let order = curve(&model.mesh.positions);
         let (mut rows, mut texels) = (Numbers::new(model.mesh.positions.len()), Numbers::new(model.atlas.texels.len()));
-        let share = 1.0 / (sight.samples * sight.samples) as f32;
+        let share = 1.0 / (per_side * per_side) as f32;
         let mut seen = Vec::with_capacity(samples.len());
         for (pixel, face, uv, cos) in samples {
             let corners = model.mesh.indices[face as usize];
@@ -100,7 +113,7 @@ impl Relighter {
             })
         };
         let kernels = texels.all.par_iter().map(kernel).collect();
-        Some(Self { size: (sight.width, sight.height), seen, order, stride, rows, neighbours, kernels })
+        Self { size, seen, order, stride, rows, neighbours, kernels }
     }
 
     /// Linear RGB of the view, row by row.
@@ -200,22 +213,36 @@ fn samples(model: &Hierarchical, surface: &Surface, sight: &Sight) -> Option<Vec
     let [right, down, forward] = look(sight.eye, sight.target, sight.up)?;
     let eye = Vec3::from_array(sight.eye.map(|x| x as f32));
     let half = (0.5 * sight.fov_deg.to_radians()).tan() as f32;
-    let (w, h, n) = (sight.width, sight.height, sight.samples);
+    let (w, h) = (sight.width as f32, sight.height as f32);
+    let direction = |x: f32, y: f32| {
+        let (px, py) = ((2.0 * x - w) / w, (2.0 * y - h) / w);
+        (forward + half * (px * right + py * down)).normalize()
+    };
+    Some(cast(model, surface, (sight.width, sight.height, sight.samples), eye, direction))
+}
+
+/// What rays from `eye` see, along the directions of places of the picture, `n` × `n` in each pixel.
+fn cast(
+    model: &Hierarchical,
+    surface: &Surface,
+    (w, h, n): (usize, usize, usize),
+    eye: Vec3,
+    direction: impl Fn(f32, f32) -> Vec3 + Sync,
+) -> Vec<Sample> {
     let row = |y: usize| {
+        let direction = &direction;
         let one = move |i: usize| {
             let (x, sub) = (i / (n * n), i % (n * n));
             let at = |k: usize, s: usize| k as f32 + (s as f32 + 0.5) / n as f32;
-            let px = 2.0 * at(x, sub % n) / w as f32 - 1.0;
-            let py = (2.0 * at(y, sub / n) - h as f32) / w as f32;
-            let direction = (forward + half * (px * right + py * down)).normalize();
-            let place = surface.first_hit(&Ray::new(eye, direction))?;
-            let [a, b, c] = model.mesh.corners(place.0 as usize);
+            let direction = direction(at(x, sub % n), at(y, sub / n));
+            let (face, uv) = surface.first_hit(&Ray::new(eye, direction))?;
+            let [a, b, c] = model.mesh.corners(face as usize);
             let cos = -direction.dot((b - a).cross(c - a).normalize_or_zero());
-            (cos > 0.0).then_some(((y * w + x) as u32, place.0, place.1, cos))
+            (cos > 0.0).then_some(((y * w + x) as u32, face, uv, cos))
         };
         (0..w * n * n).filter_map(one).collect::<Vec<Sample>>()
     };
-    Some((0..h).into_par_iter().flat_map_iter(row).collect())
+    (0..h).into_par_iter().flat_map_iter(row).collect()
 }
 
 /// Vertices along Morton's curve.
@@ -238,7 +265,7 @@ fn curve(positions: &[[f32; 3]]) -> Vec<u32> {
 mod tests {
     use super::*;
     use crate::capture::Surface;
-    use crate::hierarchical::tests::sphere;
+    use crate::hierarchical::{AtlasParams, tests::sphere};
     use crate::relight::{Light, Sources};
     use std::path::Path;
 
@@ -257,7 +284,14 @@ mod tests {
     fn local_and_global_together_are_the_integral_of_r() {
         let mesh = sphere(14, 10.0);
         let fall_off = |d: f32| [0.05, 0.04, 0.02].map(|s| s * ((-d / 0.8).exp() + 0.05 * (-d / 4.0).exp()));
-        let model = Hierarchical::from_transfer(mesh.clone(), 1.0, |_, d| fall_off(d), |_, _| [2.0, 1.0, 1.0]).unwrap();
+        let model = Hierarchical::from_transfer(
+            mesh.clone(),
+            1.0,
+            &AtlasParams::default(),
+            |_, d| fall_off(d),
+            |_, _| [2.0, 1.0, 1.0],
+        )
+        .unwrap();
         let surface = Surface::new(mesh.clone()).unwrap();
         let lights = [Light::Point { position: [20.0, -40.0, 20.0], intensity: [1000.0, 1000.0, 1000.0] }];
         let power = Sources::new(&lights, Path::new("")).unwrap().shine(&surface, &model.atlas, 1.0);

@@ -9,14 +9,17 @@
 //! | `lights` | the description of lights and view, as JSON |
 //! | `irradiance` | light to power |
 //! | `evaluate` | power to pictures of a fixed view |
+//! | `predict` | pictures of a capture's own laser positions |
 //! | `vertex` | the model with a fall-off for each vertex in the same form |
 
 mod evaluate;
 mod irradiance;
 mod lights;
+mod predict;
 mod vertex;
 
 pub use evaluate::{Part, Relighter};
 pub use irradiance::{Power, Sources};
 pub use lights::{Light, Lighting, Sight};
+pub use predict::Predictor;
 pub use vertex::from_vertex_model;

@@ -2,7 +2,7 @@
 //! modulation where the light leaves.
 
 use crate::capture::Texels;
-use crate::hierarchical::Hierarchical;
+use crate::hierarchical::{AtlasParams, Hierarchical};
 use crate::vertex::{Vertex, VertexModel};
 use translume_mesh::TriMesh;
 
@@ -37,7 +37,7 @@ pub fn from_vertex_model(model: &VertexModel, mesh: TriMesh, eta: f64) -> Option
         let texel = texels.index(face, uv);
         [0, 1, 2].map(|c: usize| model.texture[c.min(channels - 1)][texel])
     };
-    Hierarchical::from_transfer(mesh, eta, transfer, modulation)
+    Hierarchical::from_transfer(mesh, eta, &AtlasParams::default(), transfer, modulation)
 }
 
 fn table(vertex: &Vertex, channels: usize) -> Option<Table> {

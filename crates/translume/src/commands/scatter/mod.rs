@@ -5,6 +5,7 @@ mod fit_hierarchical;
 mod plot;
 mod relight;
 mod report;
+mod report_hierarchical;
 mod report_mesh;
 mod report_planar;
 mod simulate;
