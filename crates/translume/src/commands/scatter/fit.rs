@@ -292,6 +292,6 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
     ))?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "vertices": vertices, "measured": measured, "empty": empty,
-        "positions": mesh.beams.len(), "unstable": model.unstable, "textured": textured,
+        "positions": mesh.beams.len(), "unstable": model.unstable, "faults": model.faults, "textured": textured,
     }))
 }
