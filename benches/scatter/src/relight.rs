@@ -92,7 +92,7 @@ fn relight(model: &Hierarchical) -> anyhow::Result<()> {
     let relighter = Relighter::new(model, &surface, &sight).expect("a view");
     let point = [Light::Point { position: [0.0; 3], intensity: [1e5; 3] }];
     let mut sources = Sources::new(&point, Path::new(""))?;
-    let mut spent = [0.0; 2];
+    let (mut spent, cpu) = ([0.0; 2], crate::cpu_seconds());
     let mut sum = 0.0;
     for frame in 0..FRAMES {
         let angle = std::f32::consts::TAU * frame as f32 / FRAMES as f32;
@@ -110,10 +110,11 @@ fn relight(model: &Hierarchical) -> anyhow::Result<()> {
     row(
         "relighting at 512 × 384",
         format!(
-            "{:.1} pictures/s (light and shadows {:.1} ms, F, K, T and picture {:.1} ms)",
+            "{:.1} pictures/s (light and shadows {:.1} ms, F, K, T and picture {:.1} ms; {:.1} ms of processor time in all)",
             frames / (spent[0] + spent[1]),
             1e3 * spent[0] / frames,
-            1e3 * spent[1] / frames
+            1e3 * spent[1] / frames,
+            1e3 * (crate::cpu_seconds() - cpu) / frames
         ),
     );
     Ok(())

@@ -196,7 +196,11 @@ pub fn read_head(path: &Path) -> Result<HierarchicalHead> {
         return Err(Error::unsupported(&file, what));
     }
     let head: HierarchicalHead = serde_json::from_value(value).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    if !(1.0..=4.0).contains(&head.eta) || !(1..=MOST_SIDE).contains(&head.side) || !(head.texel_mm > 0.0) {
+    if !(1.0..=4.0).contains(&head.eta)
+        || !(1..=MOST_SIDE).contains(&head.side)
+        || head.texel_mm.is_nan()
+        || head.texel_mm <= 0.0
+    {
         return Err(Error::invalid(&file, "eta, side or texel_mm cannot be"));
     }
     Ok(head)

@@ -82,7 +82,7 @@ impl Records {
             let known = |c: &Option<Candidate>| {
                 c.as_ref().map_or([0.0; 4], |c| {
                     let [a, b, d] = of(c);
-                    [a, b, d, 10.0 * c.confidence]
+                    [a, b, d, 0.3 * c.confidence]
                 })
             };
             let known: Vec<Known> = kernels.iter().map(known).collect();
