@@ -10,6 +10,7 @@ pub mod atomic;
 mod codes;
 pub mod colour;
 pub mod compare;
+pub mod denoise;
 mod error;
 mod exif;
 mod formats;

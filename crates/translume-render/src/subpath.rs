@@ -15,7 +15,7 @@
 //! vertices densities of both directions count as if the deltas cancelled: from the camera's side 1, from the light's side
 //! the ratio of the solid angles that the interface maps onto each other.
 
-use crate::light::{LightPoint, LightStart};
+use crate::light::{LightPoint, LightStart, Starts};
 use crate::world::{Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
@@ -290,16 +290,17 @@ impl Walk<'_> {
     }
 }
 
-/// Draws a light sub-path; its vertices are appended to `out`, whose parents count from the vector's begin.
+/// Draws a light sub-path from the lights of `starts`; its vertices are appended to `out`, whose parents count from the vector's begin.
 pub fn light_path(
     world: &World,
+    starts: &Starts,
     limits: Limits,
     sampler: &mut PathSampler,
     rays: &mut u64,
     out: &mut Vec<Vertex>,
 ) -> Option<LightPath> {
     let (choice, u, v) = (sampler.next_1d(), sampler.next_2d(), sampler.next_2d());
-    let start = world.lights().start(world.scene(), choice, u, v)?;
+    let start = world.lights().start(world.scene(), starts, choice, u, v)?;
     let point = start.point();
     let density = match point.far {
         true => Density::Parallel(start.pdf_next()),

@@ -5,10 +5,12 @@ mod common;
 
 use common::*;
 use glam::{DVec3, Vec3};
+use translume_bxdf::Distribution;
 use translume_render::film::Film;
 use translume_render::integrator;
 use translume_scene::Scene;
 use translume_scene::emitter::Emitter;
+use translume_scene::material::{Conductor, Model, Roughness};
 
 fn kernel(scene: &Scene, options: &[(&str, &str)], steps: u64) -> Film {
     let options: Vec<(String, String)> = options.iter().map(|o| (o.0.to_owned(), o.1.to_owned())).collect();
@@ -47,7 +49,7 @@ fn direct_light_is_exact_where_it_is_flat() {
     m.camera(DVec3::new(3.0, 0.0, 1.0), DVec3::ZERO, 1e-3);
     let expected = 0.5 / std::f64::consts::PI * 8.0 / 4.0;
     for printed in ["false", "true"] {
-        let (mean, _) = mean(&kernel(&m.0, &[("printed", printed), ("light-paths", "20000")], 16));
+        let (mean, _) = mean(&kernel(&m.0, &[("printed", printed), ("light-paths", "20000")], 32));
         assert!((mean / expected - 1.0).abs() < 0.05, "printed={printed}: {mean} instead of {expected}");
     }
 }
@@ -78,5 +80,90 @@ fn threads_do_not_matter_and_options_do() {
     };
     assert_eq!(with(1).rgb(), with(3).rgb());
     assert_ne!(kernel(&scene, &[("light-paths", "1000")], 2).rgb(), kernel(&scene, &[], 2).rgb());
-    assert!(integrator::with_options("gkernel", UNLIMITED, &[("printed".into(), "maybe".into())]).is_err());
+    for wrong in [[("printed", "maybe"), ("links", "0")], [("printed", "true"), ("unbiased", "true")]] {
+        let wrong = wrong.map(|(name, value)| (name.to_owned(), value.to_owned()));
+        assert!(integrator::with_options("gkernel", UNLIMITED, &wrong).is_err(), "{wrong:?}");
+    }
+}
+
+/// How many standard errors the mean of independent pictures is from that of `path`. Pixels of one picture share light paths,
+/// so that only whole pictures are independent.
+fn deviation(scene: &Scene, options: &[(&str, &str)], pictures: u64) -> f64 {
+    let (path, error) = mean(&film(scene, "path", UNLIMITED, 1 << 14, 6));
+    let options: Vec<(String, String)> = options.iter().map(|o| (o.0.to_owned(), o.1.to_owned())).collect();
+    let of =
+        |seed| mean(&film_by(scene, &*integrator::with_options("gkernel", UNLIMITED, &options).unwrap(), 8, seed)).0;
+    let means: Vec<f64> = (100..100 + pictures).map(of).collect();
+    let n = pictures as f64;
+    let ours = means.iter().sum::<f64>() / n;
+    let variance = means.iter().map(|m| (m - ours).powi(2)).sum::<f64>() / (n * (n - 1.0));
+    let z = (ours - path) / (variance + error * error).sqrt();
+    println!("{options:?}: {ours} beside {path}, standard errors {} and {error}, z {z}", variance.sqrt());
+    z
+}
+
+/// A floor just inside its edge, under a small lamp.
+fn edge() -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow) = (m.diffuse(0.5), m.diffuse(0.0), m.gray(5.0));
+    m.square(1.0, 0.0, gray);
+    let light = m.square(0.1, 1.0, black);
+    (light.radiance, light.flip_normals) = (Some(glow), true);
+    m.camera(DVec3::new(0.98, 0.0, 4.0), DVec3::new(0.98, 0.0, 0.0), 0.3);
+    m.0
+}
+
+/// Lamps that stand just over the floor, beside a ball.
+fn grazing() -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow) = (m.diffuse(0.5), m.diffuse(0.0), m.gray(50.0));
+    m.square(4.0, 0.0, gray);
+    m.sphere(DVec3::new(0.5, 0.3, 0.3), 0.3, gray);
+    m.sphere(DVec3::new(-0.5, 0.0, 0.1), 0.05, black).radiance = Some(glow);
+    m.camera(DVec3::new(0.0, -3.0, 1.5), DVec3::new(0.3, 0.0, 0.0), 25.0);
+    m.0
+}
+
+/// A brushed metal floor between a lamp and a wall of balls.
+fn glossy() -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow) = (m.diffuse(0.5), m.diffuse(0.0), m.gray(20.0));
+    let (zero, one, alpha) = (m.gray(0.0), m.gray(1.0), m.gray(0.25));
+    let conductor = Conductor { eta: zero, k: one, specular_reflectance: one };
+    let roughness = Roughness { distribution: Distribution::Ggx, alpha_u: alpha, alpha_v: alpha };
+    let metal = m.material(Model::RoughConductor { conductor, roughness });
+    m.square(2.0, 0.0, metal);
+    m.sphere(DVec3::new(0.6, 0.0, 0.4), 0.4, gray);
+    m.sphere(DVec3::new(-0.8, 0.0, 0.6), 0.2, black).radiance = Some(glow);
+    m.camera(DVec3::new(0.0, -3.0, 1.5), DVec3::new(0.2, 0.0, 0.2), 30.0);
+    m.0
+}
+
+/// Each z is beyond 4 in one of 16,000 runs.
+#[test]
+fn the_unbiased_method_agrees_with_path() {
+    let few = [("unbiased", "true"), ("light-paths", "3000")];
+    for (name, scene) in [("edge", edge()), ("grazing", grazing()), ("glossy", glossy()), ("caustic", glass_ball(1.5))]
+    {
+        let z = deviation(&scene, &few, 24);
+        assert!(z.abs() < 4.0, "{name}: {z}");
+    }
+    let z = deviation(&edge(), &[("normalise", "disc"), ("light-paths", "3000")], 24);
+    assert!(z < -4.0, "discs should lose light at the edge: {z}");
+}
+
+/// Photons that glass focuses are merged: the picture that bdpt makes, nearer to it than by paths that must meet the lamp.
+#[test]
+fn caustics_are_merged() {
+    let scene = glass_ball(0.1);
+    let reference = film(&scene, "bdpt", UNLIMITED, 1 << 12, 6);
+    let of = |caustics| kernel(&scene, &[("caustics", caustics), ("light-paths", "20000")], 64);
+    let (with, without) = (of("true"), of("false"));
+    let rms = |film: &Film| {
+        let pairs = estimates(film).into_iter().zip(estimates(&reference));
+        pairs.map(|(a, b)| (a.mean - b.mean).powi(2)).sum::<f64>().sqrt()
+    };
+    assert!(rms(&with) < 0.5 * rms(&without), "{} and {}", rms(&with), rms(&without));
+    let ((bdpt, error), (ours, noise)) = (mean(&reference), mean(&with));
+    assert!((ours - bdpt).abs() < 0.03 * bdpt + 4.0 * (error + noise), "{ours} ± {noise} instead of {bdpt} ± {error}");
 }

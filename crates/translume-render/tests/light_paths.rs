@@ -37,7 +37,7 @@ impl Integrator for LightTracer {
         let limits = Limits { segments: self.0.max_depth.map_or(100, |n| n - 1), rr_depth: self.0.rr_depth };
         let mut vertices = Vec::new();
         let mut sampler = work.sampler.branch(0);
-        subpath::light_path(world, limits, &mut sampler, &mut work.rays, &mut vertices);
+        subpath::light_path(world, world.lights().by_power(), limits, &mut sampler, &mut work.rays, &mut vertices);
         for v in &vertices {
             let lens = sampler.next_2d();
             let Some(camera) = work.view.camera.sample_importance(v.hit.point.p, lens, work.view.margin) else {

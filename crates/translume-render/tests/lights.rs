@@ -73,7 +73,10 @@ fn light_paths_carry_the_power() {
         for _ in 0..n {
             let mut pair = || Vec2::new(rng.next_f32(), rng.next_f32());
             let (u, v) = (pair(), pair());
-            let Some(start) = world.lights().start(world.scene(), rng.next_f32(), u, v) else { continue };
+            let Some(start) = world.lights().start(world.scene(), world.lights().by_power(), rng.next_f32(), u, v)
+            else {
+                continue;
+            };
             let cos = if matches!(start.origin, End::Surface(_)) { start.n.dot(start.direction) } else { 1.0 };
             let x = f64::from(luminance(start.radiance) * cos / (start.choice * start.pdf_a * start.pdf_w));
             (sum, squares) = (sum + x, squares + x * x);

@@ -8,25 +8,10 @@ use translume_render::film::Film;
 use translume_render::integrator;
 use translume_scene::Scene;
 use translume_scene::emitter::Emitter;
-use translume_scene::material::{Dielectric, Model};
 
 fn photons(scene: &Scene, options: &[(&str, &str)], spp: u64) -> Film {
     let options: Vec<(String, String)> = options.iter().map(|o| (o.0.to_owned(), o.1.to_owned())).collect();
     film_by(scene, &*integrator::with_options("photonmap", UNLIMITED, &options).unwrap(), spp, 5)
-}
-
-/// A ball of glass over a floor, lit from a small square: a caustic.
-fn glass_ball() -> Scene {
-    let mut m = Maker::default();
-    let (gray, black, glow, one) = (m.diffuse(0.6), m.diffuse(0.0), m.gray(20.0), m.gray(1.0));
-    let glass =
-        m.material(Model::Dielectric(Dielectric { eta: 1.5, specular_reflectance: one, specular_transmittance: one }));
-    m.square(3.0, 0.0, gray);
-    m.sphere(DVec3::new(0.0, 0.0, 0.7), 0.5, glass);
-    let light = m.square(0.3, 3.0, black);
-    (light.radiance, light.flip_normals) = (Some(glow), true);
-    m.camera(DVec3::new(3.0, -3.0, 2.5), DVec3::new(0.0, 0.0, 0.3), 0.5);
-    m.0
 }
 
 /// Means within `slack` and noise.
@@ -41,7 +26,7 @@ fn near_path(scene: &Scene, options: &[(&str, &str)], slack: f64) {
 #[test]
 fn pictures_are_nearly_those_of_path() {
     let many = ("photons", "200000");
-    for scene in [room(), glass_ball()] {
+    for scene in [room(), glass_ball(0.3)] {
         near_path(&scene, &[many], 0.02);
         near_path(&scene, &[many, ("gather", "false")], 0.03);
         near_path(&scene, &[many, ("gather", "false"), ("direct", "map")], 0.05);
@@ -79,7 +64,7 @@ fn density_is_irradiance() {
 
 #[test]
 fn threads_do_not_change_a_bit() {
-    let scene = glass_ball();
+    let scene = glass_ball(0.3);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| photons(&scene, &[("photons", "20000")], 4))

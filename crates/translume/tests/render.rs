@@ -75,4 +75,10 @@ fn gkernel_shares_samples_out_among_steps_and_resumes_to_the_bit() {
     assert!(render("-o out.exr --steps 4 --spp 6").error(2).contains("multiple"));
     let path = translume(dir.path(), &["render", "box.xml", "-o", "out.exr", "--integrator", "path", "--steps", "4"]);
     assert!(path.error(2).contains("gkernel"));
+    let unbiased = |method: &str| {
+        translume(dir.path(), &["render", "box.xml", "-o", "u.exr", "--integrator", method, "--spp", "1", "--unbiased"])
+    };
+    unbiased("gkernel").ok();
+    assert_ne!(rgb("u.exr"), rgb("whole.exr"));
+    assert!(unbiased("path").error(2).contains("gkernel"));
 }

@@ -208,7 +208,7 @@ impl Sample<'_, '_> {
                 None => 0.0,
                 Some(parent) => {
                     let lights = self.world.lights();
-                    let (begin, next) = lights.pdf_start(&point, v.hit.wo);
+                    let (begin, next) = lights.pdf_start(lights.by_power(), &point, v.hit.wo);
                     let parent_back = self.camera.back_to_parent(v, next);
                     let direct = self.pdf_direct(parent, v.parent, &point, -v.hit.wo);
                     let direct = if v.pdf > 0.0 { f64::from(direct) / f64::from(v.pdf) } else { 0.0 };
@@ -236,7 +236,7 @@ impl Sample<'_, '_> {
                 None => 0.0,
                 Some(parent) => {
                     let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
-                    let (begin, next) = world.lights().pdf_start(&point, -d);
+                    let (begin, next) = world.lights().pdf_start(world.lights().by_power(), &point, -d);
                     let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), d);
                     let own = f64::from(escape.pdf_w);
                     let ratio = f64::from(begin) / own;
@@ -313,7 +313,7 @@ impl Sample<'_, '_> {
         };
         let distance = (point.p - p).length();
         let direct = f64::from(point.from_solid_angle(sample.pdf_w, wi, distance));
-        let (begin, next) = world.lights().pdf_start(&point, -wi);
+        let (begin, next) = world.lights().pdf_start(world.lights().by_power(), &point, -wi);
         let density = if point.far { Density::Parallel(next) } else { Density::Angle { from: point.p, pdf_w: next } };
         let from = From {
             at: i,
@@ -446,7 +446,14 @@ impl Integrator for Bdpt {
         let mut light_sampler = work.sampler.branch(0);
         let mut vertices = Vec::with_capacity(16);
         let limits = Limits { segments: max - 1, rr_depth };
-        let path = subpath::light_path(world, limits, &mut light_sampler, &mut work.rays, &mut vertices);
+        let path = subpath::light_path(
+            world,
+            world.lights().by_power(),
+            limits,
+            &mut light_sampler,
+            &mut work.rays,
+            &mut vertices,
+        );
         let light = Chain::new(world, vertices);
 
         let camera = work.view.camera;

@@ -235,16 +235,7 @@ pub const INTEGRATORS: [Entry; 5] = [
     Entry {
         name: "gkernel",
         about: "the generalized kernel method, for many lights (nearly unbiased); no media",
-        options: &[
-            Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
-            Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
-            Choice {
-                name: "deeper-links",
-                default: "30",
-                about: "links beyond the first surface, in percent of those there",
-            },
-            Choice { name: "printed", default: "false", about: "the method as in the paper of 2003, darker at edges" },
-        ],
+        options: &gkernel::OPTIONS,
         make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
     },
 ];

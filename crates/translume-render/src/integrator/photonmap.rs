@@ -90,7 +90,7 @@ impl PhotonMapping {
             for i in number * CHUNK..((number + 1) * CHUNK).min(self.paths) {
                 let mut sampler = PathSampler::new(seed, u64::MAX, i);
                 vertices.clear();
-                subpath::light_path(world, limits, &mut sampler, &mut 0, &mut vertices);
+                subpath::light_path(world, world.lights().by_power(), limits, &mut sampler, &mut 0, &mut vertices);
                 for v in &vertices {
                     let direct = v.parent == subpath::NONE;
                     if !world.shading(&v.hit).flags().contains(Flags::DIFFUSE) || direct && !self.direct_in_map {

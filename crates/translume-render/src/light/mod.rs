@@ -160,14 +160,17 @@ pub(crate) enum Light {
     },
 }
 
+/// Chances of lights to begin light paths.
+#[derive(Clone, Debug)]
+pub struct Starts(Option<AliasTable>);
+
 /// All lights of a scene.
 pub struct Lights {
     pub(crate) lights: Vec<Light>,
     tree: LightTree,
     /// Numbers of the infinitely far ones.
     far: Vec<usize>,
-    /// For starting paths: by power.
-    by_power: Option<AliasTable>,
+    by_power: Starts,
     /// The scene's bounding sphere.
     center: Vec3,
     radius: f32,
@@ -192,7 +195,7 @@ impl Lights {
             .zip(&bounds)
             .map(|(light, bounds)| bounds.map_or_else(|| light.far_power(radius), |b| b.power).clamp(0.0, f32::MAX))
             .collect();
-        Self { tree: LightTree::new(&bounds), far, by_power: AliasTable::new(&powers), lights, center, radius }
+        Self { tree: LightTree::new(&bounds), far, by_power: Starts(AliasTable::new(&powers)), lights, center, radius }
     }
 
     /// Whether nothing shines.
@@ -273,10 +276,26 @@ impl Lights {
         }
     }
 
+    /// Chances by power.
+    pub fn by_power(&self) -> &Starts {
+        &self.by_power
+    }
+
+    /// Chances of which `share` is by `weights`, one for each light, and the rest by power.
+    pub fn starts_by(&self, weights: &[f32], share: f32) -> Starts {
+        let sum: f64 = weights.iter().map(|w| f64::from(*w)).sum();
+        if sum <= 0.0 || !sum.is_finite() {
+            return self.by_power.clone();
+        }
+        let mix =
+            |(i, w): (usize, &f32)| (1.0 - share) * self.by_power.probability(i) + share * (f64::from(*w) / sum) as f32;
+        Starts(AliasTable::new(&weights.iter().enumerate().map(mix).collect::<Vec<_>>()))
+    }
+
     /// Densities of [`Lights::start`] for the begin `q` and the direction `d` of travel, as [`LightStart::pdf_begin`] and
     /// [`LightStart::pdf_next`] have them.
-    pub fn pdf_start(&self, q: &LightPoint, d: Vec3) -> (f32, f32) {
-        let choice = self.start_probability(q.light);
+    pub fn pdf_start(&self, starts: &Starts, q: &LightPoint, d: Vec3) -> (f32, f32) {
+        let choice = starts.probability(q.light);
         let disk = 1.0 / (PI * self.radius * self.radius);
         match &self.lights[q.light] {
             Light::Shape(s) => (choice * s.pdf_a(q.p), q.n.dot(d).max(0.0) / PI),
@@ -317,9 +336,9 @@ impl Lights {
         (1.0 - self.far_share()) * self.tree.probability(p, n, light) * shape.pdf_w(p, q, nq)
     }
 
-    /// Begins a light path: a light by its power, a place on it by `u`, a direction by `v`.
-    pub fn start(&self, scene: &Scene, u_choice: f32, u: Vec2, v: Vec2) -> Option<LightStart> {
-        let (light, choice) = self.by_power.as_ref()?.sample(u_choice);
+    /// Begins a light path: a light by `starts`, a place on it by `u`, a direction by `v`.
+    pub fn start(&self, scene: &Scene, starts: &Starts, u_choice: f32, u: Vec2, v: Vec2) -> Option<LightStart> {
+        let (light, choice) = starts.0.as_ref()?.sample(u_choice);
         let start = match &self.lights[light] {
             Light::Shape(s) => s.start(scene, u, v),
             Light::Point(s) => s.start(scene, u),
@@ -338,11 +357,6 @@ impl Lights {
         (choice > 0.0 && start.pdf_w > 0.0 && start.radiance != Rgb::ZERO).then_some(start)
     }
 
-    /// Chance that [`Lights::start`] chooses `light`.
-    pub fn start_probability(&self, light: usize) -> f32 {
-        self.by_power.as_ref().map_or(0.0, |t| t.probability(light))
-    }
-
     /// A ray along `direction` through the scene's bounding sphere.
     fn start_from_far(&self, direction: Vec3, radiance: Rgb, pdf_w: f32, v: Vec2) -> Option<LightStart> {
         let disk = warp::uniform_disk(v.x, v.y) * self.radius;
@@ -359,6 +373,13 @@ impl Lights {
             light: 0,
             delta: false,
         })
+    }
+}
+
+impl Starts {
+    /// Of `light`.
+    pub fn probability(&self, light: usize) -> f32 {
+        self.0.as_ref().map_or(0.0, |t| t.probability(light))
     }
 }
 

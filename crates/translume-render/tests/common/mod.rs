@@ -13,7 +13,7 @@ use translume_render::film::{Aov, Film};
 use translume_render::integrator::{self, Integrator, Settings};
 use translume_render::render::{Shot, Until};
 use translume_scene::emitter::Emitter;
-use translume_scene::material::{Material, Model};
+use translume_scene::material::{Dielectric, Material, Model};
 use translume_scene::sensor::{Film as FilmSize, Perspective, PixelFilter, Projection, Sensor};
 use translume_scene::texture::Texture;
 use translume_scene::{Geometry, MaterialId, Scene, Shape, TextureId};
@@ -146,5 +146,19 @@ pub(crate) fn room() -> Scene {
     let light = m.square(0.4, 3.0, black);
     (light.radiance, light.flip_normals) = (Some(glow), true);
     m.camera(DVec3::new(3.0, -3.0, 2.5), DVec3::new(0.0, 0.0, 0.5), 0.7);
+    m.0
+}
+
+/// A ball of glass over a floor, lit from a square: a caustic.
+pub(crate) fn glass_ball(light: f32) -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow, one) = (m.diffuse(0.6), m.diffuse(0.0), m.gray(20.0), m.gray(1.0));
+    let glass =
+        m.material(Model::Dielectric(Dielectric { eta: 1.5, specular_reflectance: one, specular_transmittance: one }));
+    m.square(3.0, 0.0, gray);
+    m.sphere(DVec3::new(0.0, 0.0, 0.7), 0.5, glass);
+    let light = m.square(light, 3.0, black);
+    (light.radiance, light.flip_normals) = (Some(glow), true);
+    m.camera(DVec3::new(3.0, -3.0, 2.5), DVec3::new(0.0, 0.0, 0.3), 0.5);
     m.0
 }

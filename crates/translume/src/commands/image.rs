@@ -51,6 +51,7 @@ pub(crate) enum Args {
     Info(InfoArgs),
     Convert(ConvertArgs),
     Tonemap(TonemapArgs),
+    Denoise(super::denoise::Args),
 }
 
 /// Say what picture files hold: format, size, range, shot, channels
@@ -133,7 +134,12 @@ fn bits(text: &str) -> Result<u8, String> {
     text.parse().ok().filter(|b| [8, 16].contains(b)).ok_or_else(|| "it is 8 or 16".to_owned())
 }
 
-fn positive(text: &str) -> Result<f32, String> {
+/// Refuses an output that is not named .exr.
+pub(super) fn wants_exr(path: &Path) -> Result<(), Usage> {
+    if extension(path) == "exr" { Ok(()) } else { Err(Usage(format!("{}: the picture must be .exr", path.display()))) }
+}
+
+pub(super) fn positive(text: &str) -> Result<f32, String> {
     text.parse()
         .ok()
         .filter(|v: &f32| *v > 0.0 && v.is_finite())
@@ -145,6 +151,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         Args::Info(args) => info(&args, ctx),
         Args::Convert(args) => convert(args, ctx),
         Args::Tonemap(args) => tone_map(&args, ctx),
+        Args::Denoise(args) => super::denoise::run(&args, ctx),
     }
 }
 

@@ -8,6 +8,7 @@ mod capture;
 mod compare;
 mod completions;
 mod demo;
+mod denoise;
 mod field;
 mod hdr;
 mod image;

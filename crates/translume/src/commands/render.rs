@@ -37,6 +37,9 @@ Examples:
   The same with 15 light passes, four camera paths a pixel in each:
     translume render scene.xml -o out.exr --integrator gkernel --steps 15 --spp 60
 
+  A quick look, without noise:
+    translume render scene.xml -o noisy.exr --spp 16 --denoise clean.exr
+
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck --resume";
@@ -70,6 +73,9 @@ pub(crate) struct Args {
     /// Light passes of gkernel, which share out the samples [default: as many as samples]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     steps: Option<u64>,
+    /// gkernel without its small bias: converges to what path finds; slower
+    #[arg(long)]
+    unbiased: bool,
     /// Width and height in pixels [default: the scene's]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
@@ -88,6 +94,9 @@ pub(crate) struct Args {
     /// Feature images as further channels
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = aov_names())]
     aov: Vec<String>,
+    /// Write the picture without noise here, .exr; adds the feature images that this takes
+    #[arg(long, value_name = "OUT.exr")]
+    denoise: Option<PathBuf>,
     /// Keep a picture of how it goes here, .png
     #[arg(long, value_name = "OUT.png")]
     preview: Option<PathBuf>,
@@ -151,12 +160,14 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
     let (name, settings) = method(&args, &scene, ctx);
-    let method_options = with_steps(&args, &name)?;
+    let method_options = with_flags(&args, &name)?;
     let integrator =
         integrator::with_options(&name, settings, &method_options).map_err(|e| Usage(format!("--option: {e}")))?;
     integrator.check(&world).with_context(|| args.scene.display().to_string())?;
     let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
-    let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| args.aov.iter().any(|a| a == n.0)).map(|n| n.1).collect();
+    let denoising = args.denoise.as_ref().map_or(&[][..], |_| &["albedo", "normal", "depth", "variance"]);
+    let wanted = |name: &str| args.aov.iter().any(|a| a == name) || denoising.contains(&name);
+    let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| wanted(n.0)).map(|n| n.1).collect();
     let mut film = shot.film(&aovs)?;
     let asked = args.spp.or(args.steps).or(if args.time.is_some() {
         None
@@ -177,9 +188,14 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     reporter.finish(&film, &name, &progress, loaded, told(&*integrator, &shot, &progress))
 }
 
-/// The options of the method, the camera paths that `--steps` leaves to each light pass among them.
-fn with_steps(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
+/// The options of the method, with what flags say: the camera paths that `--steps` leaves to each light pass.
+fn with_flags(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
     let mut options = args.options.clone();
+    if args.unbiased && name == "gkernel" {
+        options.push(("unbiased".into(), "true".into()));
+    } else if args.unbiased {
+        return Err(Usage(format!("--unbiased is a mode of gkernel, not of {name}")));
+    }
     let Some(steps) = args.steps else { return Ok(options) };
     if name != "gkernel" {
         return Err(Usage(format!("--steps are the light passes of gkernel; {name} has none")));
@@ -213,13 +229,18 @@ fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value 
 
 /// Before hours of work: outputs are of the kinds that are written, and can be.
 fn check_outputs(args: &Args) -> anyhow::Result<()> {
-    let outputs = [(Some(&args.output), "picture", "exr"), (args.preview.as_ref(), "preview", "png")];
+    let outputs = [
+        (Some(&args.output), "picture", "exr"),
+        (args.denoise.as_ref(), "clean picture", "exr"),
+        (args.preview.as_ref(), "preview", "png"),
+    ];
     for (path, what, extension) in outputs.into_iter().filter_map(|(p, w, e)| Some((p?, w, e))) {
         if path.extension().is_none_or(|e| !e.eq_ignore_ascii_case(extension)) {
             return Err(Usage(format!("{}: the {what} must be .{extension}", path.display())).into());
         }
     }
-    for path in [Some(&args.output), args.preview.as_ref(), args.checkpoint.as_ref()].into_iter().flatten() {
+    let more = [&args.denoise, &args.preview, &args.checkpoint].into_iter().filter_map(Option::as_ref);
+    for path in std::iter::once(&args.output).chain(more) {
         atomic::check_writable(path)?;
     }
     Ok(())
@@ -321,6 +342,12 @@ impl Reporter<'_> {
     ) -> anyhow::Result<()> {
         self.picture(film)?;
         self.save(film)?;
+        if let Some(path) = &self.args.denoise {
+            let channels = film.channels();
+            let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, &values[..])).collect();
+            let [w, h] = film.size().map(|s| s as usize);
+            super::denoise::write(path, (w, h), &channels, &Default::default(), self.ctx)?;
+        }
         if film.broken() > 0 {
             self.ctx.warn(format!("{} samples were not finite and count as black", film.broken()));
         }

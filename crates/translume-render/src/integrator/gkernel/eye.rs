@@ -2,8 +2,8 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
-use super::weight::Weighing;
-use crate::light::LightPoint;
+use super::weight::{Way, Weighing};
+use crate::light::{LightPoint, Starts};
 use crate::subpath::{Density, Escape, Limits, Vertex, Walk};
 use crate::world::{Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
@@ -24,11 +24,11 @@ pub(crate) struct EyeVertex<'a> {
     pub(crate) depth: u32,
     /// Density per area, given the vertex before.
     pub(crate) pdf: f32,
-    /// The vertex before: density per area of a walk from here, per density of the direction; its own density; whether
-    /// merging there is possible.
+    /// The vertex before: density per area of a walk from here, per density of the direction; its own density; what may
+    /// happen there.
     pub(crate) back: f32,
     pub(crate) before: f32,
-    pub(crate) open: bool,
+    pub(crate) way: Way,
     /// See [`super::weight`].
     pub(crate) behind: f32,
 }
@@ -39,6 +39,8 @@ pub(crate) struct Eye<'a> {
     pub(crate) limits: Limits,
     pub(crate) hide_lights: bool,
     pub(crate) weighing: Weighing,
+    /// Where the light paths begin.
+    pub(crate) starts: &'a Starts,
 }
 
 impl<'a> Eye<'a> {
@@ -79,7 +81,7 @@ impl<'a> Eye<'a> {
                 pdf: v.pdf,
                 back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
                 before: parent.map_or(1.0, |p| p.pdf),
-                open: parent.is_some_and(|p| !p.delta),
+                way: Way::of(parent.is_none_or(|p| p.delta), false),
                 behind: behind[i],
             });
         }
@@ -93,18 +95,18 @@ impl<'a> Eye<'a> {
     fn behind(&self, path: &[Vertex], behind: &[f32], parent: u32) -> f32 {
         let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
         let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
-        let open = !above.delta && !parent_vertex.delta;
-        self.weighing.add(open, above.pdf_back, above.pdf_back / above.pdf, behind[parent as usize])
+        let way = Way::of(above.delta, parent_vertex.delta);
+        self.weighing.add(way, above.pdf_back, above.pdf_back / above.pdf, behind[parent as usize])
     }
 
     fn emitted(&self, path: &[Vertex], v: &Vertex, behind: f32) -> Rgb {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
-        let (begin, next) = self.world.lights().pdf_start(&point, v.hit.wo);
+        let (begin, next) = self.world.lights().pdf_start(self.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
-        let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
-        v.throughput * radiance * weight(begin / v.pdf * inner)
+        let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
+        v.throughput * radiance * weight(self.weighing.times(begin / v.pdf, inner))
     }
 
     fn escaped(&self, path: &[Vertex], escape: &Escape, behind: f32) -> Rgb {
@@ -116,10 +118,10 @@ impl<'a> Eye<'a> {
         let one = |far: crate::light::FarLight| {
             let Some(parent) = parent else { return far.radiance };
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
-            let (begin, next) = lights.pdf_start(&point, -escape.d);
+            let (begin, next) = lights.pdf_start(self.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
-            let inner = self.weighing.add(!parent.delta, back, back / parent.pdf, behind);
-            far.radiance * weight(begin / escape.pdf_w * inner)
+            let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
+            far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }

@@ -5,8 +5,8 @@
 //! parent may be made (the parent scatters in more than single directions) and whether the surface around it is flat as
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
-use super::weight::Weighing;
-use crate::light::{End, LightPoint, LightStart};
+use super::weight::{Way, Weighing};
+use crate::light::{End, LightStart, Starts};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -27,16 +27,42 @@ pub(crate) struct Bandwidth {
     pub(crate) share: f32,
     /// Largest radius.
     pub(crate) most: f32,
+    /// Densities below this per solid angle, cosine at the surface included, count as this: what bounds a footprint's cone.
+    pub(crate) least: f32,
+    /// Of photons that are merged.
+    pub(crate) photon: f32,
 }
 
+/// The cosine below which parallel light's footprints grow no more.
+pub(crate) const LEAST_COS: f32 = 0.2;
+
 impl Bandwidth {
-    /// Eq. 7: of a vertex of density `pdf` per area, `distance` from a parent with the footprint `before` (`None`: a light).
+    /// Eq. 7: of a vertex of density `pdf` per area, in this `reach` of a parent with the footprint `before` (`None`: a light).
     #[inline]
-    pub(crate) fn radius(&self, pdf: f32, distance: f32, before: Option<f32>) -> f32 {
-        let own = self.h[usize::from(before.is_some())] / pdf.sqrt();
-        let grown = if self.grow { own + before.unwrap_or(0.0) } else { own };
-        grown.min(self.share * distance).min(self.most)
+    pub(crate) fn radius(&self, pdf: f32, reach: Reach, before: Option<f32>) -> f32 {
+        let h = self.h[usize::from(before.is_some())];
+        if self.grow {
+            return h / pdf.sqrt() + before.unwrap_or(0.0);
+        }
+        match reach {
+            Reach::Distance(d) => (d * (h / (pdf * d * d).max(self.least).sqrt()).min(self.share)).min(self.most),
+            Reach::Parallel(across) => (h / pdf.max(LEAST_COS * across).sqrt()).min(self.most),
+        }
     }
+
+    /// The largest radius over the distance, and the largest of parallel light of density `across`.
+    pub(crate) fn bound(&self, first: bool) -> f32 {
+        (self.h[usize::from(!first)] / self.least.sqrt()).min(self.share)
+    }
+}
+
+/// Where light comes from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Reach {
+    /// From a point this far away.
+    Distance(f32),
+    /// From a direction, with this density per area across it.
+    Parallel(f32),
 }
 
 /// Where a light path met a surface.
@@ -66,7 +92,7 @@ const _: () = assert!(size_of::<LightVertex>() <= 200);
 
 const FIRST: u8 = 1;
 const LINKED: u8 = 2;
-const FLAT: u8 = 4;
+const MERGED: u8 = 4;
 
 impl LightVertex {
     /// The parent is a light.
@@ -81,16 +107,46 @@ impl LightVertex {
         self.flags & LINKED != 0
     }
 
-    /// The surface is flat as far as points that link here would also link to neighbours.
+    /// The parent scatters in single directions only: a photon to be merged.
     #[inline]
-    pub(crate) fn flat(&self) -> bool {
-        self.flags & FLAT != 0
+    pub(crate) fn merged(&self) -> bool {
+        self.flags & MERGED != 0
+    }
+
+    /// What may happen here.
+    #[inline]
+    pub(crate) fn way(&self) -> Way {
+        Way::of(!self.linked() && !self.merged(), self.merged())
     }
 
     /// cos θ at this vertex towards the parent.
     #[inline]
     pub(crate) fn cos(&self) -> f32 {
         self.hit.n().dot(self.hit.wo).abs()
+    }
+}
+
+/// What choosing among links takes of a light vertex, in one line of the cache.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Brief {
+    /// Unit direction back to the parent.
+    pub(crate) wo: Vec3,
+    /// Luminance of the throughput over R², over cos θ as well where it is a link.
+    pub(crate) gain: f32,
+    /// Eq. 10.
+    pub(crate) printed: f32,
+    pub(crate) pdf: f32,
+    pub(crate) back: f32,
+    pub(crate) behind: f32,
+    pub(crate) way: Way,
+}
+
+impl Brief {
+    pub(crate) fn new(v: &LightVertex) -> Self {
+        let (way, area) = (v.way(), v.radius * v.radius);
+        let cos = if way == Way::Merge { 1.0 } else { v.cos() };
+        let gain = luminance(v.throughput) / (area * cos);
+        Self { wo: v.hit.wo, gain, printed: 1.0 / (area * v.cos()), pdf: v.pdf, back: v.back, behind: v.behind, way }
     }
 }
 
@@ -110,12 +166,13 @@ pub(crate) struct Request<'a> {
     pub(crate) limits: Limits,
     pub(crate) bandwidth: Bandwidth,
     pub(crate) weighing: Weighing,
+    pub(crate) starts: &'a Starts,
     /// Of the random numbers, and the stream: the step.
     pub(crate) seed: u64,
     pub(crate) step: u64,
     pub(crate) count: u32,
-    /// Find out where surfaces are flat; if not, all are taken for it.
-    pub(crate) probe: bool,
+    /// Light paths of a step are a low-discrepancy sequence; if not, independent.
+    pub(crate) sobol: bool,
 }
 
 /// Paths that one task traces.
@@ -151,9 +208,13 @@ impl LightPaths {
 
     fn add(&mut self, request: &Request, path: u32, buffer: &mut Vec<Vertex>) {
         // One path after the other of a low-discrepancy sequence, another sequence for each step.
-        let mut sampler = PathSampler::new(request.seed, STREAM | request.step, path.into());
+        let mut sampler = match request.sobol {
+            true => PathSampler::new(request.seed, STREAM | request.step, path.into()),
+            false => PathSampler::new(request.seed, STREAM | request.step << 32 | u64::from(path), 0),
+        };
         buffer.clear();
-        let Some(light) = subpath::light_path(request.world, request.limits, &mut sampler, &mut self.rays, buffer)
+        let Some(light) =
+            subpath::light_path(request.world, request.starts, request.limits, &mut sampler, &mut self.rays, buffer)
         else {
             return;
         };
@@ -162,9 +223,6 @@ impl LightPaths {
         for i in 0..buffer.len() {
             let vertex = self.vertex(request, &light, buffer, base, i);
             self.vertices.push(vertex);
-            if !request.probe || vertex.linked() && self.is_flat(request.world, &vertex) {
-                self.vertices[base + i].flags |= FLAT;
-            }
         }
     }
 
@@ -173,15 +231,16 @@ impl LightPaths {
         let parent = path.get(v.parent as usize);
         let (p, wo) = (v.hit.point.p, v.hit.wo);
         let point = light.start.point();
-        let (distance, before, back) = match parent {
+        let (reach, before, back) = match parent {
             Some(parent) => {
                 let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n(), wo);
                 let before = self.vertices[base + v.parent as usize].radius;
-                ((p - parent.hit.point.p).length(), Some(before), one / parent.pdf)
+                (Reach::Distance((p - parent.hit.point.p).length()), Some(before), one / parent.pdf)
             }
             None => {
-                let distance = if point.far { f32::INFINITY } else { (p - point.p).length() };
-                (distance, None, point.from_solid_angle(1.0, wo, distance) / light.start.pdf_begin())
+                let distance = (p - point.p).length();
+                let back = point.from_solid_angle(1.0, wo, distance) / light.start.pdf_begin();
+                (reach(&light.start, p), None, back)
             }
         };
         let behind = match parent {
@@ -192,15 +251,20 @@ impl LightPaths {
                     Some(above) => above.pdf_back / above.pdf,
                     None => light.pdf_back / light.start.pdf_begin(),
                 };
-                let open = !parent.delta && above.is_none_or(|a| !a.delta);
+                let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
                 let inner = self.vertices[base + v.parent as usize].behind;
-                request.weighing.add(open, parent.pdf, ratio, inner)
+                request.weighing.add(way, parent.pdf, ratio, inner)
             }
         };
         let delta = parent.is_some_and(|p| p.delta);
-        let linked = !delta && v.pdf > 0.0 && v.survival > 0.0;
-        // A mirror passes the footprint on as it is.
-        let radius = if delta { before.unwrap_or(0.0) } else { request.bandwidth.radius(v.pdf, distance, before) };
+        let usable = v.pdf > 0.0 && v.survival > 0.0;
+        let (linked, merged) = (!delta && usable, delta && usable && request.weighing.photons > 0.0);
+        let radius = match (merged, delta) {
+            (true, _) => request.bandwidth.photon,
+            // A mirror passes the footprint on as it is.
+            (false, true) => before.unwrap_or(0.0),
+            (false, false) => request.bandwidth.radius(v.pdf, reach, before),
+        };
         LightVertex {
             hit: v.hit,
             throughput: v.throughput,
@@ -211,7 +275,10 @@ impl LightPaths {
             behind,
             back,
             segments: v.segments.min(u16::MAX.into()) as u16,
-            flags: if v.parent == NONE { FIRST } else { 0 } | if linked { LINKED } else { 0 },
+            flags: [(v.parent == NONE, FIRST), (linked, LINKED), (merged, MERGED)]
+                .map(|(is, flag)| u8::from(is) * flag)
+                .iter()
+                .sum(),
         }
     }
 
@@ -231,13 +298,13 @@ impl LightPaths {
     }
 
     /// Whether the parent of `v` sees the plane of `v` all around it, twice as far as the footprint.
-    fn is_flat(&mut self, world: &World, v: &LightVertex) -> bool {
+    pub(crate) fn is_flat(&self, world: &World, v: &LightVertex, rays: &mut u64) -> bool {
         let frame = Frame::from_normal(v.hit.n());
         (0..PROBES).all(|i| {
             let turn = (i as f32 + 0.5) * (4.0 * FRAC_PI_2 / PROBES as f32);
             let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
             let ray = self.ray_beside(world, v, v.hit.point.p + away);
-            self.rays += 1;
+            *rays += 1;
             let Some((point, _)) = world.arrive(&ray) else { return false };
             let off = point.p - v.hit.point.p;
             off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
@@ -248,15 +315,17 @@ impl LightPaths {
     pub(crate) fn refit(&mut self, bandwidth: &Bandwidth) {
         for i in 0..self.vertices.len() {
             let v = &self.vertices[i];
-            let (distance, before) = if v.first() {
-                let point = self.point(v);
-                (if point.far { f32::INFINITY } else { (v.hit.point.p - point.p).length() }, None)
+            let (reach, before) = if v.first() {
+                (reach(&self.starts[v.parent as usize], v.hit.point.p), None)
             } else {
                 let parent = &self.vertices[v.parent as usize];
-                ((v.hit.point.p - parent.hit.point.p).length(), Some(parent.radius))
+                (Reach::Distance((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
             };
-            self.vertices[i].radius =
-                if v.linked() { bandwidth.radius(v.pdf, distance, before) } else { before.unwrap_or(0.0) };
+            self.vertices[i].radius = match v.way() {
+                Way::Link => bandwidth.radius(v.pdf, reach, before),
+                Way::Merge => bandwidth.photon,
+                Way::Closed => before.unwrap_or(0.0),
+            };
         }
     }
 
@@ -266,17 +335,12 @@ impl LightPaths {
         areas.sort_unstable_by(f32::total_cmp);
         areas.get(areas.len() / 2).copied().unwrap_or(1.0)
     }
+}
 
-    /// Strength of a vertex for choosing among links: flux over the footprint's area across the light.
-    #[inline]
-    pub(crate) fn strength(v: &LightVertex) -> f32 {
-        luminance(v.throughput) / (v.radius * v.radius * v.cos())
-    }
-
-    /// The light that the path of a first vertex begins at.
-    pub(crate) fn point(&self, v: &LightVertex) -> LightPoint {
-        self.starts[v.parent as usize].point()
-    }
+/// From `start` to `p`.
+fn reach(start: &LightStart, p: Vec3) -> Reach {
+    let point = start.point();
+    if point.far { Reach::Parallel(start.pdf_next()) } else { Reach::Distance((p - point.p).length()) }
 }
 
 /// Rays around a vertex.

@@ -11,16 +11,18 @@
 
 use super::super::direct::MOST_CROSSINGS;
 use super::eye::EyeVertex;
-use super::light::{Bandwidth, LightPaths, LightVertex};
+use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
+use super::method::Normalise;
 use super::points::Points;
-use super::weight::Weighing;
-use crate::light::{End, LightStart};
+use super::weight::{Way, Weighing};
+use crate::light::{End, LightStart, Starts};
 use crate::subpath::{Scattering, scattering};
 use crate::world::{Shading, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
 use rayon::prelude::*;
-use std::f32::consts::PI;
+use std::f32::consts::{FRAC_1_PI, PI};
+use std::ops::Range;
 use translume_core::frame::Frame;
 use translume_core::sampler::Sampler;
 use translume_core::warp;
@@ -52,7 +54,7 @@ impl Candidates {
             .enumerate()
             .map(|(c, chunk)| {
                 let mut pairs = Vec::new();
-                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.linked()) {
+                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.way() != Way::Closed) {
                     tree.within(v.hit.point.p, v.radius, |eye| pairs.push((eye, (c * CHUNK + i) as u32)));
                 }
                 pairs
@@ -81,37 +83,38 @@ impl Candidates {
         &self.lights[self.begins[eye] as usize..self.begins[eye + 1] as usize]
     }
 
-    /// Trial links in the order of light vertices; `wanted` says how many a camera vertex asks for, `strength` how likely
-    /// a candidate is taken.
+    /// Trial links in the order of light vertices. Every group of camera vertices (their numbers) shares those it asks for;
+    /// `wanted` is their number of a group that begins with this vertex, `strength` how likely a candidate is taken.
     pub(crate) fn select(
         &self,
         eyes: &[EyeVertex],
+        groups: &[Range<usize>],
         (seed, step): (u64, u64),
         wanted: impl Fn(usize) -> f32 + Sync,
         strength: impl Fn(u32, &EyeVertex) -> f32 + Sync,
     ) -> Vec<Link> {
-        let mut links: Vec<Link> = eyes
+        let mut links: Vec<Link> = groups
             .par_iter()
-            .enumerate()
-            .fold(Vec::new, |mut links, (i, eye)| {
-                let own = self.of(i);
-                let all = |light: &u32| Link { light: *light, eye: i as u32, weight: 1.0 };
-                let n = wanted(i);
+            .fold(Vec::new, |mut links, group| {
+                let own = &self.lights[self.begins[group.start] as usize..self.begins[group.end] as usize];
+                let eye_of = |i: usize| std::iter::repeat_n(i, self.of(i).len());
+                let pairs = own.iter().zip(group.clone().flat_map(eye_of));
+                let n = wanted(group.start);
                 if own.len() as f32 <= n {
-                    links.extend(own.iter().map(all));
+                    links.extend(pairs.map(|(light, eye)| Link { light: *light, eye: eye as u32, weight: 1.0 }));
                     return links;
                 }
-                let strengths: Vec<f32> = own.iter().map(|l| strength(*l, eye)).collect();
+                let strengths: Vec<f32> = pairs.clone().map(|(l, eye)| strength(*l, &eyes[eye])).collect();
                 let sum: f64 = strengths.iter().map(|s| f64::from(*s)).sum();
-                let u = PathSampler::new(seed ^ 0x6c69_6e6b, step << 32 | i as u64, 0).next_1d();
+                let u = PathSampler::new(seed ^ 0x6c69_6e6b, step << 32 | group.start as u64, 0).next_1d();
                 let (mut passed, mut taken) = (f64::from(u), 0.0);
-                for (light, s) in own.iter().zip(strengths) {
+                for ((light, eye), s) in pairs.zip(strengths) {
                     let expected = f64::from(n) * f64::from(s) / sum;
                     passed += expected;
                     let times = passed.floor() - taken;
                     taken = passed.floor();
                     if times > 0.0 {
-                        links.push(Link { light: *light, eye: i as u32, weight: (times / expected) as f32 });
+                        links.push(Link { light: *light, eye: eye as u32, weight: (times / expected) as f32 });
                     }
                 }
                 links
@@ -147,6 +150,9 @@ pub(crate) struct Linker<'a> {
     pub(crate) lights: &'a LightPaths,
     pub(crate) bandwidth: Bandwidth,
     pub(crate) weighing: Weighing,
+    pub(crate) normalise: Normalise,
+    /// Where the light paths begin.
+    pub(crate) starts: &'a Starts,
     /// Longest path in segments.
     pub(crate) max: u32,
     /// Of the random numbers.
@@ -162,19 +168,27 @@ pub(crate) struct Score {
 }
 
 /// The other end of links to one light vertex.
-enum Parent<'a> {
+pub(super) enum Parent<'a> {
     Start(&'a LightStart),
     Vertex(&'a LightVertex, Box<Shading<'a>>),
 }
 
+/// What links to one light vertex have in common.
+struct Common<'a> {
+    parent: Parent<'a>,
+    /// Whether the surface around it is flat as far as points that link here would also link to neighbours; found out by
+    /// the first link that wants to know.
+    flat: Option<bool>,
+}
+
 /// Light from the parent to y, before the kernel.
-struct Arrival {
+pub(super) struct Arrival {
     /// Unit direction from y to the parent.
-    wi: Vec3,
+    pub(super) wi: Vec3,
     /// Flux over densities, the direction's included, towards y; of far lights likewise.
     value: Rgb,
     /// Density per area across the light at y; the kernel's area times this normalises.
-    pdf_across: f32,
+    pub(super) pdf_across: f32,
     /// cos at the parent over the squared distance: density of the parent's place by a walk from y, per direction's.
     onto_parent: f32,
     at_parent: Option<Scattering>,
@@ -192,19 +206,53 @@ impl<'a> Linker<'a> {
         links
             .par_chunks(256)
             .flat_map_iter(|chunk| {
-                let mut parent: Option<(u32, Parent)> = None;
+                let mut common: Option<(u32, Common)> = None;
                 chunk.iter().map(move |link| {
                     let v = &self.lights.vertices[link.light as usize];
-                    if parent.as_ref().is_none_or(|p| p.0 != link.light) {
-                        parent = Some((link.light, self.parent(v)));
+                    let y = &eyes[link.eye as usize];
+                    if v.merged() {
+                        return self.merge(link, v, y);
                     }
-                    match &parent {
-                        Some((_, parent)) => self.link(link, v, parent, &eyes[link.eye as usize]),
+                    if common.as_ref().is_none_or(|c| c.0 != link.light) {
+                        common = Some((link.light, Common { parent: self.parent(v), flat: None }));
+                    }
+                    match &mut common {
+                        Some((_, common)) => self.link(link, v, common, y),
                         None => Score { value: Rgb::ZERO, visible: false, rays: 0 },
                     }
                 })
             })
             .collect()
+    }
+
+    /// The photon `v` where it is merged with `y`.
+    fn merge(&self, link: &Link, v: &LightVertex, y: &EyeVertex) -> Score {
+        let none = Score { value: Rgb::ZERO, visible: false, rays: 0 };
+        // Photons on the other side of a sheet, or around a corner, belong elsewhere.
+        if u32::from(v.segments) + y.segments > self.max || v.hit.n().dot(y.hit.n()) < 0.8 {
+            return none;
+        }
+        let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
+        let own = self.weighing.own(Way::Merge, v.pdf);
+        let back = here.pdf_to_camera * y.back;
+        let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
+        let light = self.weighing.times(here.pdf_to_light * v.back, v.behind);
+        let weight = own / (own + camera + light);
+        let area = PI * v.radius * v.radius * self.lights.count as f32;
+        let value = v.throughput * here.f * y.throughput * (weight * link.weight / area);
+        Score { value, visible: true, rays: 0 }
+    }
+
+    /// Where the light at `v` comes from, a hit at ray parameter `t`.
+    #[inline]
+    pub(super) fn reach(&self, v: &LightVertex, t: f32) -> Reach {
+        if v.first() {
+            let start = &self.lights.starts[v.parent as usize];
+            if matches!(start.origin, End::Far) {
+                return Reach::Parallel(start.pdf_next());
+            }
+        }
+        Reach::Distance(t)
     }
 
     fn parent(&self, v: &LightVertex) -> Parent<'a> {
@@ -215,7 +263,8 @@ impl<'a> Linker<'a> {
         Parent::Vertex(parent, Box::new(self.world.shading(&parent.hit)))
     }
 
-    fn link(&self, link: &Link, v: &LightVertex, parent: &Parent, y: &EyeVertex) -> Score {
+    fn link(&self, link: &Link, v: &LightVertex, common: &mut Common, y: &EyeVertex) -> Score {
+        let parent = &common.parent;
         let mut score = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         let before = if let Parent::Vertex(p, _) = parent { u32::from(p.segments) } else { 0 };
         let segments = y.segments + before + 1;
@@ -239,12 +288,18 @@ impl<'a> Linker<'a> {
         }
         score.visible = true;
         let cos_y = y.hit.n().dot(arrival.wi).abs();
-        let mut kernel = 1.0 / (PI * v.radius * v.radius * v.cos());
-        if !v.flat() {
-            let (share, rays) = self.share(link, v, &arrival, y);
-            kernel = share / (PI * v.radius * v.radius);
-            score.rays += rays;
-        }
+        // One over the area across the light in which light paths have y in their footprints.
+        let kernel = match self.normalise {
+            Normalise::Unbiased => {
+                self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
+            }
+            Normalise::Rays
+                if !*common.flat.get_or_insert_with(|| self.lights.is_flat(self.world, v, &mut score.rays)) =>
+            {
+                self.share(link, v, &arrival, y, &mut score.rays) / (PI * v.radius * v.radius)
+            }
+            _ => 1.0 / (PI * v.radius * v.radius * v.cos()),
+        };
         let weight = self.weight(parent, &arrival, &here, y, cos_y);
         let paths = self.lights.count as f32;
         score.value = arrival.value
@@ -271,7 +326,7 @@ impl<'a> Linker<'a> {
                     });
                 }
                 let (wi, distance) = toward(y, start.p)?;
-                let (_, pdf_w) = self.world.lights().pdf_start(&point, -wi);
+                let (_, pdf_w) = self.world.lights().pdf_start(self.starts, &point, -wi);
                 let radiance = self.world.lights().emitted(self.world.scene(), start, -wi);
                 let cos = if point.n == Vec3::ZERO { 1.0 } else { point.n.dot(-wi) };
                 if pdf_w <= 0.0 || cos <= 0.0 || radiance == Rgb::ZERO {
@@ -303,39 +358,50 @@ impl<'a> Linker<'a> {
     /// π R² p over N: how much larger than the disc the part of a ball around y is, as the parent sees it, in which a light
     /// path's hit would have y in its footprint. Rays are sent into the ball until one succeeds; their number is one over
     /// the chance in the mean (Booth 2007). Footprints beside may be larger than this one, up to [`MARGIN`].
-    fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex) -> (f32, u64) {
+    fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex, rays: &mut u64) -> f32 {
         let key = u64::from(link.light) << 32 | u64::from(link.eye);
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x7368_6172, key, self.seed.1);
         let frame = Frame::from_normal(arrival.wi);
         let center = y.hit.point.p;
         let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
-        let far = v.first() && self.lights.point(v).far;
         for tried in 1..=TRIALS {
             let u = sampler.next_2d();
             let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (MARGIN * v.radius)).extend(0.0));
             let ray = self.lights.ray_beside(self.world, v, center + beside);
+            *rays += 1;
             let Some((point, t)) = self.world.arrive(&ray) else { continue };
             let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
-            let radius = self.bandwidth.radius(pdf, if far { f32::INFINITY } else { t }, before);
+            let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
             if point.p.distance_squared(center) <= radius * radius {
-                return (tried as f32 / (MARGIN * MARGIN), u64::from(tried));
+                return tried as f32 / (MARGIN * MARGIN);
             }
         }
-        (TRIALS as f32 / (MARGIN * MARGIN), u64::from(TRIALS))
+        TRIALS as f32 / (MARGIN * MARGIN)
+    }
+
+    /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
+    #[inline]
+    pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
+        let own = self.weighing.own(v.way, v.pdf);
+        let back = y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI * y.back;
+        let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
+        let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind);
+        own / (own + camera + light)
     }
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let own = self.weighing.merge(onto_y);
+        let own = self.weighing.own(Way::Link, onto_y);
         let back = here.pdf_to_camera * y.back;
-        let camera = onto_y / y.pdf * self.weighing.add(y.open, back, back / y.before, y.behind);
+        let camera = self.weighing.times(onto_y / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {
-            Parent::Start(start) => parent_pdf / start.pdf_begin() * self.weighing.of_light(start.delta),
+            Parent::Start(start) => {
+                self.weighing.times(parent_pdf / start.pdf_begin(), self.weighing.of_light(start.delta))
+            }
             Parent::Vertex(p, _) => {
-                let open = p.linked();
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                parent_pdf / p.pdf * self.weighing.add(open, p.pdf, there * p.back, p.behind)
+                self.weighing.times(parent_pdf / p.pdf, self.weighing.add(p.way(), p.pdf, there * p.back, p.behind))
             }
         };
         own / (own + camera + light)

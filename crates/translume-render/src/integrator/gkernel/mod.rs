@@ -17,25 +17,34 @@
 //! Limits: merging only where the parent scatters in more than single directions, so light that mirrors and glass focus is
 //! found by camera paths that meet the light, as in `path`; no participating media.
 
+mod chance;
 mod eye;
 mod light;
 mod link;
+mod method;
+mod pilot;
 mod points;
 mod weight;
 
 use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
+use crate::light::Starts;
 use crate::render::Shot;
 use crate::subpath::{Limits, Vertex};
 use crate::world::World;
-use crate::{Result, Rgb};
+use crate::{Result, Rgb, luminance};
 use eye::{Eye, EyeVertex};
-use light::{Bandwidth, LightPaths, LightVertex, Request};
+use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
+use method::Method;
+pub(crate) use method::OPTIONS;
+use pilot::Pilot;
 use rayon::prelude::*;
+use std::f32::consts::{FRAC_1_PI, PI};
+use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use weight::Weighing;
+use weight::{Way, Weighing};
 
 /// See the module.
 pub struct GKernel {
@@ -44,44 +53,31 @@ pub struct GKernel {
     light_paths: u32,
     /// Camera paths of a pixel in each step.
     eye_paths: u64,
-    /// Links of camera vertices beyond the first, as a share of [`LINKS`].
-    deeper_links: f32,
-    /// The paper's method as it is printed.
-    printed: bool,
-    calibration: OnceLock<Calibration>,
+    /// Unoccluded links that a camera path should get, or each of its vertices: the paper's M.
+    links: f32,
+    method: Method,
+    pilot: OnceLock<Pilot>,
     counts: Counts,
 }
 
-/// Unoccluded links that a camera vertex should get: the paper's M.
-const LINKS: f32 = 10.0;
-
-/// Most trial links of a camera vertex.
-const MOST_TRIALS: f32 = 80.0;
+/// Most trial links over the unoccluded links that are wanted.
+const MOST_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
 const FEWEST_PATHS: u32 = 10_000;
 const MOST_PATHS: u32 = 1_000_000;
 
-/// h before it is calibrated.
-const FIRST_H: f32 = 0.01;
+/// Radius of photons that are merged, over the scene's.
+const PHOTON: f32 = 0.004;
+
+/// See [`Bandwidth::least`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets straight.
+const LEAST: f32 = 0.25 * FRAC_1_PI;
 
 /// Camera paths of a block.
 const BLOCK: usize = 1 << 15;
 
 /// Exponent of progressive photon mapping: h² falls as steps^(α − 1).
 const ALPHA: f32 = 2.0 / 3.0;
-
-/// Camera depths told apart.
-const DEPTHS: usize = 8;
-
-/// What a pilot found.
-struct Calibration {
-    h: [f32; 2],
-    weighing: Weighing,
-    /// Share of trial links that are unoccluded: of first vertices per tile, and per depth.
-    first: Vec<f32>,
-    deeper: [f32; DEPTHS],
-}
 
 /// What was done, for `--json`.
 #[derive(Default)]
@@ -110,24 +106,37 @@ impl GKernel {
     pub fn new(settings: Settings, options: &Options) -> Result<Self> {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
-        let printed = options.switch("printed")?;
-        let deeper_links = if printed { 100 } else { options.number("deeper-links", 1..=100)? } as f32 / 100.0;
         Ok(Self {
             settings,
             light_paths,
             eye_paths,
-            deeper_links,
-            printed,
-            calibration: OnceLock::new(),
+            links: options.number("links", 1..=1000)? as f32,
+            method: Method::new(options)?,
+            pilot: OnceLock::new(),
             counts: Counts::default(),
         })
     }
 
-    fn bandwidth(&self, world: &World, h: [f32; 2]) -> Bandwidth {
-        match self.printed {
-            true => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY },
-            false => Bandwidth { h, grow: false, share: 0.35, most: 0.1 * world.bounding_sphere().1 },
+    /// h² of a step over the first one's: progressive photon mapping.
+    fn shrunk(&self, step: u64) -> f32 {
+        let factor = |i: u64| (i as f32 + ALPHA) / (i as f32 + 1.0);
+        if self.method.shrink { (1..=step.min(100_000)).map(factor).product() } else { 1.0 }
+    }
+
+    /// Of a step whose h, before it shrinks, is `h`.
+    fn bandwidth(&self, world: &World, step: u64, h: [f32; 2]) -> Bandwidth {
+        let shrink = self.shrunk(step).sqrt();
+        let (h, radius) = (h.map(|h| h * shrink), world.bounding_sphere().1);
+        let photon = PHOTON * radius * shrink;
+        match self.method.shrink {
+            true => Bandwidth { h, grow: false, share: 0.35, most: 0.1 * radius, least: LEAST, photon },
+            false => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY, least: 0.0, photon },
         }
+    }
+
+    fn weighing(&self, scale: f32, bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
+        let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
+        Weighing { scale, printed: !self.method.weights, photons: if self.method.caustics { photons } else { 0.0 } }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {
@@ -135,19 +144,26 @@ impl GKernel {
         if self.light_paths > 0 { self.light_paths } else { (w * h / 2).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
-    fn request<'a>(&self, shot: &Shot<'a>, step: u64, h: [f32; 2], weighing: Weighing) -> Request<'a> {
+    fn request<'a>(
+        &self,
+        shot: &Shot<'a>,
+        step: u64,
+        bandwidth: Bandwidth,
+        (weighing, starts): (Weighing, &'a Starts),
+    ) -> Request<'a> {
         Request {
             world: shot.world,
             limits: Limits {
                 segments: self.settings.most_segments().saturating_sub(1),
                 rr_depth: self.settings.rr_depth,
             },
-            bandwidth: self.bandwidth(shot.world, h),
+            bandwidth,
             weighing,
+            starts,
             seed: shot.seed,
             step,
             count: self.light_paths(shot),
-            probe: !self.printed,
+            sobol: self.method.sobol,
         }
     }
 
@@ -155,13 +171,13 @@ impl GKernel {
     fn eyes<'a>(
         &self,
         shot: &Shot<'a>,
-        weighing: Weighing,
+        (weighing, starts): (Weighing, &'a Starts),
         tile: &Tile,
         sample: u64,
         wanted: impl Fn(usize) -> bool,
     ) -> Block<'a> {
         let limits = Limits { segments: self.settings.most_segments(), rr_depth: self.settings.rr_depth };
-        let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, weighing };
+        let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, weighing, starts };
         let mut block = Block { eyes: Vec::new(), radiance: Vec::new(), rays: 0 };
         let mut buffer: Vec<Vertex> = Vec::new();
         for i in (0..tile.sums.len()).filter(|i| wanted(*i)) {
@@ -174,97 +190,38 @@ impl GKernel {
         block
     }
 
-    /// Finds h, and how many links are occluded, with light paths of their own and some of the camera's.
-    fn calibrate(&self, shot: &Shot, film: &Film) -> Calibration {
-        const STEP: u64 = 1 << 40;
-        let mut weighing = Weighing { scale: 1.0, printed: self.printed };
-        let wanted = |i: usize| i % 16 == 5;
-        let mut blocks: Vec<Block> =
-            film.tiles.par_iter().map(|t| self.eyes(shot, weighing, t, STEP, wanted)).collect();
-        let per_tile: Vec<usize> = blocks.iter().map(|b| b.eyes.len()).collect();
-        let eyes: Vec<EyeVertex> = blocks.iter_mut().flat_map(|b| std::mem::take(&mut b.eyes)).collect();
-
-        let tree = link::tree(&eyes);
-        let mut request = self.request(shot, STEP, [FIRST_H; 2], weighing);
-        request.probe = false;
-        let mut lights = LightPaths::trace(&request);
-        for _ in 0..8 {
-            let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / eyes.len().max(1) as f32);
-            let counts = if self.printed { [first; 2] } else { [first, others] };
-            if counts.iter().all(|c| (c / LINKS - 1.0).abs() < 0.1) {
-                break;
-            }
-            let h = &mut request.bandwidth.h;
-            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (LINKS / c.max(0.05 * LINKS)).sqrt());
-            lights.refit(&request.bandwidth);
-        }
-        let h = request.bandwidth.h;
-        // Light vertices per path that see a point: c of the weights.
-        weighing.scale = std::f32::consts::PI * h[0] * h[0] * lights.count as f32;
-        if self.printed {
-            weighing.scale *= lights.typical_area();
-        }
-
-        let candidates = Candidates::find(&lights, &tree, eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(&lights.vertices[light as usize], eye);
-        let links = candidates.select(&eyes, (shot.seed, STEP), |_| 3.0 * LINKS, strength);
-        let linker = self.linker(shot, &lights, request.bandwidth, weighing, STEP);
-        let scores = linker.score(&links, &eyes);
-        let mut tile_of = Vec::with_capacity(eyes.len());
-        per_tile.iter().enumerate().for_each(|(t, n)| tile_of.extend(std::iter::repeat_n(t, *n)));
-        // One link seen and one not for a start: what is not known is asked for moderately.
-        let mut first = vec![(1.0_f32, 2.0_f32); per_tile.len()];
-        let mut deeper = [(1.0_f32, 2.0_f32); DEPTHS];
-        for (link, score) in links.iter().zip(&scores) {
-            let eye = &eyes[link.eye as usize];
-            let slot = match eye.depth {
-                0 => &mut first[tile_of[link.eye as usize]],
-                depth => &mut deeper[(depth as usize).min(DEPTHS - 1)],
-            };
-            slot.0 += f32::from(u8::from(score.visible));
-            slot.1 += 1.0;
-        }
-        Calibration {
-            h,
-            weighing,
-            first: first.iter().map(|(a, b)| a / b).collect(),
-            deeper: deeper.map(|(a, b)| a / b),
-        }
-    }
-
-    fn linker<'a>(
-        &self,
-        shot: &Shot<'a>,
-        lights: &'a LightPaths,
-        bandwidth: Bandwidth,
-        weighing: Weighing,
-        step: u64,
-    ) -> Linker<'a> {
+    fn linker<'a>(&self, request: &Request<'a>, lights: &'a LightPaths, sample: u64) -> Linker<'a> {
         Linker {
-            world: shot.world,
+            world: request.world,
             lights,
-            bandwidth,
-            weighing,
+            bandwidth: request.bandwidth,
+            weighing: request.weighing,
+            normalise: self.method.normalise,
+            starts: request.starts,
             max: self.settings.most_segments(),
-            seed: (shot.seed, step),
+            seed: (request.seed, sample),
         }
     }
 
-    /// How likely a candidate becomes a trial link, relative to others of the same camera vertex.
-    fn strength(&self, v: &LightVertex, eye: &EyeVertex) -> f32 {
-        if self.printed {
-            return 1.0 / (v.radius * v.radius * v.cos()); // eq. 10
-        }
-        LightPaths::strength(v) * (eye.hit.n().dot(v.hit.wo).abs() + 0.05)
+    /// Camera vertices that share their trial links: those of a path, or each alone.
+    fn groups(&self, eyes: &[EyeVertex]) -> Vec<Range<usize>> {
+        let mut begin = 0;
+        let same = |a: &EyeVertex, b: &EyeVertex| self.method.target && a.path == b.path;
+        let group = |chunk: &[EyeVertex]| {
+            begin += chunk.len();
+            begin - chunk.len()..begin
+        };
+        eyes.chunk_by(same).map(group).collect()
     }
 
-    /// h of a step.
-    fn bandwidth_of(&self, calibration: &Calibration, step: u64) -> [f32; 2] {
-        if self.printed {
-            return calibration.h;
+    /// How likely a candidate becomes a trial link, relative to the others: what it would bring if the surface were white
+    /// and nothing stood between.
+    fn strength(&self, linker: &Linker, v: &Brief, eye: &EyeVertex) -> f32 {
+        if !self.method.target {
+            return v.printed;
         }
-        let shrink: f32 = (1..=step.min(100_000)).map(|i| (i as f32 + ALPHA) / (i as f32 + 1.0)).product();
-        calibration.h.map(|h| h * shrink.sqrt())
+        let cos_y = if v.way == Way::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
+        v.gain * cos_y * luminance(eye.throughput) * (linker.likely_weight(v, eye) + 0.02)
     }
 
     /// One block of tiles: one camera path more for each pixel.
@@ -274,14 +231,14 @@ impl GKernel {
         tiles: &mut [Tile],
         aovs: &[crate::film::Aov],
         (first_tile, sample): (usize, u64),
-        linker: &Linker,
-        calibration: &Calibration,
+        (linker, briefs): (&Linker, &[Brief]),
+        pilot: &Pilot,
     ) -> u64 {
         let mut parts: Vec<Block> = tiles
             .par_iter_mut()
             .map(|t| {
                 shot.add_features(t, aovs, sample);
-                self.eyes(shot, linker.weighing, t, sample, |_| true)
+                self.eyes(shot, (linker.weighing, linker.starts), t, sample, |_| true)
             })
             .collect();
         let mut radiance = Vec::new();
@@ -292,18 +249,14 @@ impl GKernel {
             let base = radiance.len() as u32;
             radiance.append(&mut part.radiance);
             for eye in part.eyes.drain(..) {
-                let trials = match eye.depth {
-                    0 => LINKS / calibration.first[first_tile + t],
-                    depth => self.deeper_links * LINKS / calibration.deeper[(depth as usize).min(DEPTHS - 1)],
-                };
-                wanted.push(trials.min(MOST_TRIALS));
+                wanted.push(pilot.trials(self.links, first_tile + t, eye.depth));
                 eyes.push(EyeVertex { path: eye.path + base, ..eye });
             }
             rays += part.rays;
         }
         let candidates = Candidates::find(linker.lights, &link::tree(&eyes), eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(&linker.lights.vertices[light as usize], eye);
-        let links = candidates.select(&eyes, linker.seed, |i| wanted[i], strength);
+        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &briefs[light as usize], eye);
+        let links = candidates.select(&eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes);
         let mut unoccluded = 0;
         for (link, score) in links.iter().zip(scores) {
@@ -334,13 +287,14 @@ impl Integrator for GKernel {
 
     /// A step, or the rest of one.
     fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &dyn Fn() -> bool) -> Option<u64> {
-        let calibration = self.calibration.get_or_init(|| self.calibrate(shot, film));
+        let pilot = self.pilot.get_or_init(|| self.fly_pilot(shot, film));
         let first = film.samples().0;
         let step = first / self.eye_paths;
-        let h = self.bandwidth_of(calibration, step);
-        let weighing = calibration.weighing;
-        let request = self.request(shot, step, h, weighing);
+        let bandwidth = self.bandwidth(shot.world, step, pilot.h);
+        let weighing = self.weighing(pilot.scale, &bandwidth, self.light_paths(shot));
+        let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
         let lights = LightPaths::trace(&request);
+        let briefs: Vec<Brief> = lights.vertices.iter().map(Brief::new).collect();
         let mut rays = lights.rays;
         let aovs = film.aovs().to_vec();
         let whole = film.tiles.len();
@@ -348,7 +302,7 @@ impl Integrator for GKernel {
         let end = (step + 1) * self.eye_paths;
         'step: for sample in first..end {
             // Links are drawn anew for every camera path, as if it had a step of its own.
-            let linker = self.linker(shot, &lights, request.bandwidth, weighing, sample);
+            let linker = self.linker(&request, &lights, sample);
             for first_tile in (0..whole).step_by(tiles_at_once) {
                 if stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
                     break 'step;
@@ -356,7 +310,7 @@ impl Integrator for GKernel {
                 let tiles = &mut film.tiles[first_tile..(first_tile + tiles_at_once).min(whole)];
                 // After an interruption some blocks are a sample ahead.
                 if tiles.iter().all(|t| t.samples == sample) {
-                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), &linker, calibration);
+                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), (&linker, &briefs), pilot);
                 }
             }
         }
@@ -371,7 +325,7 @@ impl Integrator for GKernel {
         let eyes = of(&c.eye_vertices).max(1.0);
         let requested = of(&c.requested);
         vec![
-            ("h", self.calibration.get().map_or(0.0, |c| c.h[0].into())),
+            ("h", self.pilot.get().map_or(0.0, |c| c.h[0].into())),
             ("steps", of(&c.steps)),
             ("light_vertices", of(&c.light_vertices)),
             ("bytes_per_light_vertex", size_of::<LightVertex>() as f64),

@@ -4,13 +4,13 @@
 //! z₀ … z_{j−1}, the camera's z_j … z_k. Two rules:
 //!
 //! - eq. 9, extended to all merges (errata): p_j = Π_{i≤j} p^L(z_i) Π_{i≥j} p^E(z_i), the footprint taken as a constant area;
-//! - the default: without p^L(z_j), which the radius R ∝ 1/√p^L(z_j) cancels. A merge is then what it is, a connection of
+//! - the default (`weights`): without p^L(z_j), which the radius R ∝ 1/√p^L(z_j) cancels. A merge is then what it is, a connection of
 //!   z_{j−1} to z_j that is made c = N π h² times.
 //!
 //! Either way p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i), with g_j = c or κ p^L(z_j), and g = 1 for the camera's path that
 //! meets the light. Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
 //! camera's side A = r_t (g_{t−1} + r_{t−1} (g_{t−2} + …)), with q_i = p^E(z_i)/p^L(z_i) on the light's B = q_m (g_m + q_{m−1} (…)),
-//! and w = g/(g + A + B). What depends only on the walk is kept with the vertex (`behind`).
+//! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the vertex (`behind`).
 
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
@@ -19,13 +19,55 @@ pub(crate) struct Weighing {
     pub(crate) scale: f32,
     /// Eq. 9.
     pub(crate) printed: bool,
+    /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
+    pub(crate) photons: f32,
+}
+
+/// What may happen at a vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// Nothing: the vertex scatters in single directions.
+    Closed,
+    /// A link to the vertex before it on the light's side.
+    Link,
+    /// That one scatters in single directions: photons are merged.
+    Merge,
+}
+
+impl Way {
+    /// At a vertex that is `delta` or not, after one that is `before` or not.
+    #[inline]
+    pub(crate) fn of(delta: bool, before: bool) -> Self {
+        match (delta, before) {
+            (true, _) => Self::Closed,
+            (false, true) => Self::Merge,
+            (false, false) => Self::Link,
+        }
+    }
 }
 
 impl Weighing {
-    /// g of a merge at a vertex that the light's walk finds with density `pdf`.
+    /// g of what may happen at a vertex that the light's walk finds with density `pdf`.
     #[inline]
-    pub(crate) fn merge(&self, pdf: f32) -> f32 {
-        if self.printed { self.scale * pdf } else { self.scale }
+    pub(crate) fn own(&self, way: Way, pdf: f32) -> f32 {
+        self.power(match way {
+            Way::Closed => 0.0,
+            Way::Merge => self.photons * pdf,
+            Way::Link if self.printed => self.scale * pdf,
+            Way::Link => self.scale,
+        })
+    }
+
+    /// The power heuristic; eq. 9 is the balance heuristic.
+    #[inline]
+    fn power(&self, x: f32) -> f32 {
+        if self.printed { x } else { x * x }
+    }
+
+    /// One vertex on: a bracket times the ratio of densities there.
+    #[inline]
+    pub(crate) fn times(&self, ratio: f32, bracket: f32) -> f32 {
+        if bracket > 0.0 && ratio.is_finite() { self.power(ratio) * bracket } else { 0.0 }
     }
 
     /// The sum in brackets at the light: the camera's path may meet it, unless it has no extent.
@@ -34,11 +76,9 @@ impl Weighing {
         if delta { 0.0 } else { 1.0 }
     }
 
-    /// A bracket around `inner`: merging at a vertex of density `pdf` by the light's walk if it is `open`, and what lies
-    /// behind.
+    /// A bracket around `inner`: what may happen at a vertex of density `pdf` by the light's walk, and what lies behind.
     #[inline]
-    pub(crate) fn add(&self, open: bool, pdf: f32, ratio: f32, inner: f32) -> f32 {
-        let own = if open { self.merge(pdf) } else { 0.0 };
-        own + if inner > 0.0 && ratio.is_finite() { ratio * inner } else { 0.0 }
+    pub(crate) fn add(&self, way: Way, pdf: f32, ratio: f32, inner: f32) -> f32 {
+        self.own(way, pdf) + self.times(ratio, inner)
     }
 }

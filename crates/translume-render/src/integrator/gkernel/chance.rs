@@ -1,0 +1,125 @@
+//! One over the chance that a light path has a camera vertex in its footprint, without bias.
+//!
+//! Source: Booth 2007 (one over a probability is the mean number of trials until the first success); Qin et al. 2015 use it
+//! for photon gathering. From the parent x of a light vertex a walk takes a direction ω with density p(ω), and hits a surface at
+//! z(ω); the chance is ∫ p(ω) [|z(ω) − y| ≤ R(z(ω))] dω. Since R is at most ρ times the distance of z from x, only
+//! directions within asin ρ of y come into question (|z − y| is at least the sine times either distance). Trials:
+//!
+//! - lights and Lambertian surfaces have a bound p⁺ of p: directions evenly in that cone C, a success when the hit is one and
+//!   u < p(ω)/p⁺; n trials estimate 1/(|C| p⁺) n;
+//! - other surfaces: the walk's own directions, most of which miss the cone and cost no ray; n trials estimate n;
+//! - parallel light: places in the disc that bounds all footprints, p is constant.
+//!
+//! Roulette is not part of it: a link divides by the chance that its own light path had. Limit: surfaces that let light
+//! straight through (masks) count as if they stopped it.
+
+use super::light::LEAST_COS;
+use super::link::{Arrival, Link, Linker, Parent};
+use super::{eye::EyeVertex, light::LightVertex};
+use crate::PathSampler;
+use crate::light::End;
+use glam::Vec3;
+use std::f32::consts::PI;
+use translume_bxdf::{Flags, Mode};
+use translume_core::frame::Frame;
+use translume_core::sampler::Sampler;
+use translume_core::warp;
+
+/// Trials after which the estimate is cut off: a chance of less than one in a million, and a guard against endless loops
+/// where rounding forbids what happened.
+const MOST_TRIALS: u64 = 20_000_000;
+
+impl Linker<'_> {
+    /// One over the chance.
+    pub(super) fn inverse_chance(
+        &self,
+        link: &Link,
+        v: &LightVertex,
+        parent: &Parent,
+        arrival: &Arrival,
+        y: &EyeVertex,
+        rays: &mut u64,
+    ) -> f32 {
+        let key = u64::from(link.light) << 32 | u64::from(link.eye);
+        let mut sampler = PathSampler::new(self.seed.0 ^ 0x6368_616e, key, self.seed.1);
+        let center = y.hit.point.p;
+        let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
+        let to_y = -arrival.wi;
+        let frame = Frame::from_normal(to_y);
+        // Whether the hit of a ray of this density per solid angle (parallel light: per area across) is a success.
+        let mut hits = |target: Vec3, pdf: f32| {
+            *rays += 1;
+            let ray = self.lights.ray_beside(self.world, v, target);
+            let Some((point, t)) = self.world.arrive(&ray) else { return false };
+            let reach = self.reach(v, t);
+            let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
+            let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
+            point.p.distance_squared(center) <= radius * radius
+        };
+        if let Parent::Start(start) = parent
+            && matches!(start.origin, End::Far)
+        {
+            let pdf = start.pdf_next();
+            let radius = (self.bandwidth.h[0] / (LEAST_COS * pdf).sqrt()).min(self.bandwidth.most);
+            let trials = until(|| {
+                let u = sampler.next_2d();
+                let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * radius).extend(0.0));
+                hits(center + beside, pdf)
+            });
+            return trials / (PI * radius * radius * pdf);
+        }
+        let origin = match parent {
+            Parent::Start(start) => start.p,
+            Parent::Vertex(p, _) => p.hit.point.p,
+        };
+        let distance = (center - origin).length();
+        let sine = self.bandwidth.bound(v.first()).min(self.bandwidth.most / distance).min(1.0);
+        // A little wider, for rounding.
+        let cos = (1.0 - sine * sine).sqrt() * (1.0 - 1e-6);
+        let bounded = match parent {
+            Parent::Start(start) => {
+                let point = start.point();
+                let flat = point.n != Vec3::ZERO;
+                Some(if flat { widest_cosine(point.n.dot(to_y), cos) / PI } else { start.pdf_next() })
+            }
+            Parent::Vertex(_, shading) => (shading.flags() == Flags::REFLECTION.or(Flags::DIFFUSE)).then_some(1.0 / PI),
+        };
+        let density = |d: Vec3| match parent {
+            Parent::Start(start) => self.world.lights().pdf_start(self.starts, &start.point(), d).1,
+            Parent::Vertex(p, shading) => {
+                self.world.shading_from(&p.hit, shading, p.hit.wo).eval_cos_pdf(p.hit.wo, d, Mode::Importance).1
+            }
+        };
+        if let (None, Parent::Vertex(p, shading)) = (bounded, parent) {
+            return until(|| {
+                let Some(s) = shading.sample(p.hit.wo, sampler.next_1d(), sampler.next_2d(), Mode::Importance) else {
+                    return false;
+                };
+                let inside = !s.flags.contains(Flags::DELTA) && s.wi.dot(to_y) >= cos;
+                inside && hits(origin + s.wi * distance, s.pdf_w)
+            });
+        }
+        let most = bounded.unwrap_or(1.0);
+        let trials = until(|| {
+            let u = sampler.next_2d();
+            let d = frame.to_world(warp::uniform_cone(u.x, u.y, cos));
+            let pdf = density(d);
+            sampler.next_1d() * most < pdf && hits(origin + d * distance, pdf)
+        });
+        trials * warp::uniform_cone_pdf(cos) / most
+    }
+}
+
+/// The largest cosine to a normal within a cone whose axis has the cosine `c` to it.
+fn widest_cosine(c: f32, cone: f32) -> f32 {
+    if c >= cone { 1.0 } else { c * cone + ((1.0 - c * c) * (1.0 - cone * cone)).max(0.0).sqrt() }
+}
+
+/// Trials up to and with the first success.
+fn until(mut success: impl FnMut() -> bool) -> f32 {
+    let mut n = 1_u64;
+    while !success() && n < MOST_TRIALS {
+        n += 1;
+    }
+    n as f32
+}

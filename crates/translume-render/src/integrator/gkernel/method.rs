@@ -1,0 +1,93 @@
+//! What goes beyond the paper, each part with a switch of its own, so that each can be measured alone.
+
+use super::super::{Choice, Options};
+use crate::Result;
+
+/// How the chance of a light path to land with a camera vertex in its footprint is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Normalise {
+    /// The footprint is taken for a disc in free space, §3.
+    Disc,
+    /// With rays where the surface around the light vertex is not flat.
+    Rays,
+    /// With rays everywhere, without bias.
+    Unbiased,
+}
+
+/// The switches.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Method {
+    /// Footprints are capped by the distance to the parent, and shrink with the steps.
+    pub(crate) shrink: bool,
+    pub(crate) normalise: Normalise,
+    /// Merging behind mirrors and glass.
+    pub(crate) caustics: bool,
+    /// Trial links are drawn by what they would bring, among those of all vertices of a camera path.
+    pub(crate) target: bool,
+    /// Light paths begin at lights in proportion to what a pilot saw of them.
+    pub(crate) importance: bool,
+    /// Light paths of a step are points of a low-discrepancy sequence.
+    pub(crate) sobol: bool,
+    /// Merges are weighed as connections made many times, not by eq. 9.
+    pub(crate) weights: bool,
+}
+
+/// The options, in the order of the table in the docs.
+pub(crate) const OPTIONS: [Choice; 12] = [
+    Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
+    Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
+    Choice {
+        name: "links",
+        default: "10",
+        about: "unoccluded links that a camera path (printed: each vertex) should get",
+    },
+    Choice {
+        name: "printed",
+        default: "false",
+        about: "the method as in the paper of 2003, darker at edges: what `auto` below means",
+    },
+    Choice { name: "unbiased", default: "false", about: "no bias at all, slower: converges to what path finds" },
+    Choice { name: "shrink", default: "auto", about: "footprints are capped and shrink with the steps" },
+    Choice { name: "normalise", default: "auto", about: "chances of links: `disc`, or by `rays` where it is not flat" },
+    Choice { name: "caustics", default: "auto", about: "merge photons behind mirrors and glass" },
+    Choice { name: "target", default: "auto", about: "choose links by what they would bring" },
+    Choice { name: "importance", default: "auto", about: "begin light paths where a pilot saw light come from" },
+    Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
+    Choice { name: "weights", default: "auto", about: "bidirectional weights by the number of links, not by eq. 9" },
+];
+
+impl Method {
+    pub(crate) fn new(options: &Options) -> Result<Self> {
+        let printed = options.switch("printed")?;
+        let unbiased = options.switch("unbiased")?;
+        if printed && unbiased {
+            return options.wrong("unbiased", "the printed method is biased; one of the two");
+        }
+        let auto = |name| -> Result<bool> {
+            let choice = options.choice(name, ["auto", "false", "true"])?;
+            Ok(if choice == 0 { !printed } else { choice == 2 })
+        };
+        let normalise = match options.choice("normalise", ["auto", "disc", "rays"])? {
+            _ if unbiased => Normalise::Unbiased,
+            0 if printed => Normalise::Disc,
+            1 => Normalise::Disc,
+            _ => Normalise::Rays,
+        };
+        let caustics = options.choice("caustics", ["auto", "false", "true"])?;
+        if unbiased && caustics == 2 {
+            return options.wrong("caustics", "merging photons is biased: not with unbiased=true;");
+        }
+        if unbiased && options.choice("shrink", ["auto", "false", "true"])? == 1 {
+            return options.wrong("shrink", "unbiased=true takes footprints that are capped: `auto` or `true`");
+        }
+        Ok(Self {
+            shrink: auto("shrink")?,
+            normalise,
+            caustics: !unbiased && auto("caustics")?,
+            target: auto("target")?,
+            importance: auto("importance")?,
+            sobol: auto("sobol")?,
+            weights: auto("weights")?,
+        })
+    }
+}

@@ -1,0 +1,190 @@
+//! What is found out before the first step, with light paths of their own and some of the camera's: h, how many links are
+//! occluded, and at which lights light paths should begin.
+//!
+//! Source: Bekaert et al. 2003, §5 (h so that M footprints of direct light hold a camera vertex in the mean; the share of
+//! unoccluded links). The lights' part is not in the paper: a lamp's chance follows what it brings to the picture, mixed
+//! with its power so that none is forgotten.
+
+use super::super::direct::MOST_CROSSINGS;
+use super::eye::EyeVertex;
+use super::light::{Brief, LightPaths};
+use super::link::{self, Candidates};
+use super::weight::Weighing;
+use super::{Block, GKernel, MOST_TRIALS};
+use crate::film::Film;
+use crate::light::Starts;
+use crate::render::Shot;
+use crate::world::World;
+use crate::{PathSampler, luminance};
+use rayon::prelude::*;
+use std::f32::consts::PI;
+use translume_bxdf::Mode;
+use translume_core::sampler::Sampler;
+
+/// What a pilot found.
+pub(crate) struct Pilot {
+    pub(crate) h: [f32; 2],
+    /// c of the weights.
+    pub(crate) scale: f32,
+    /// Where light paths begin.
+    pub(crate) starts: Starts,
+    /// Share of trial links that are unoccluded: per tile, and of vertices that choose alone, beyond the first, per depth.
+    tiles: Vec<f32>,
+    depths: [f32; DEPTHS],
+}
+
+/// The pilot's step.
+const STEP: u64 = 1 << 30;
+
+/// Every so many pixels send one of the pilot's camera paths.
+const SPARSE: usize = 16;
+
+/// Camera depths told apart.
+const DEPTHS: usize = 8;
+
+/// h before it is calibrated.
+const FIRST_H: f32 = 0.01;
+
+/// Lights that each camera vertex is asked about.
+const LAMPS: usize = 4;
+
+/// Part of the light paths that begin by what was learnt.
+const LEARNT: f32 = 0.8;
+
+impl Pilot {
+    /// Trial links that a vertex of this depth, or a path in this tile, asks for to get `links` that are unoccluded.
+    pub(crate) fn trials(&self, links: f32, tile: usize, depth: u32) -> f32 {
+        let seen = if depth == 0 { self.tiles[tile] } else { self.depths[(depth as usize).min(DEPTHS - 1)] };
+        links / seen.max(1.0 / MOST_TRIALS)
+    }
+}
+
+impl GKernel {
+    pub(super) fn fly_pilot(&self, shot: &Shot, film: &Film) -> Pilot {
+        let lights = shot.world.lights();
+        let flock = self.flock(shot, film, (self.weighed(shot, [FIRST_H; 2], 1.0), lights.by_power()));
+        let starts = match self.method.importance {
+            true => lights.starts_by(&flock.brought(shot), LEARNT),
+            false => lights.by_power().clone(),
+        };
+        let (h, scale) = self.calibrate(shot, &flock, &starts);
+        // The camera's vertices are the same again, now with the weights that links take.
+        let flock = self.flock(shot, film, (self.weighed(shot, h, scale), &starts));
+        let (tiles, depths) = self.try_links(shot, &flock, (h, scale), &starts);
+        Pilot { h, scale, starts, tiles, depths }
+    }
+
+    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: f32) -> Weighing {
+        self.weighing(scale, &self.bandwidth(shot.world, 0, h), self.light_paths(shot))
+    }
+
+    /// The pilot's camera paths.
+    fn flock<'a>(&self, shot: &Shot<'a>, film: &Film, path: (Weighing, &'a Starts)) -> Flock<'a> {
+        let block = |t| self.eyes(shot, path, t, STEP, |i| i % SPARSE == 5);
+        let blocks: Vec<Block> = film.tiles.par_iter().map(block).collect();
+        let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: film.tiles.len() };
+        let mut paths = 0;
+        for (t, block) in blocks.into_iter().enumerate() {
+            flock.tile_of.extend(std::iter::repeat_n(t, block.eyes.len()));
+            flock.eyes.extend(block.eyes.into_iter().map(|eye| EyeVertex { path: eye.path + paths, ..eye }));
+            paths += block.radiance.len() as u32;
+        }
+        flock
+    }
+
+    /// Finds h and c.
+    fn calibrate(&self, shot: &Shot, flock: &Flock, starts: &Starts) -> ([f32; 2], f32) {
+        let mut h = [FIRST_H; 2];
+        let tree = link::tree(&flock.eyes);
+        let bandwidth = |h| self.bandwidth(shot.world, 0, h);
+        let request = self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, 1.0), starts));
+        let mut lights = LightPaths::trace(&request);
+        for _ in 0..8 {
+            let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);
+            let counts = if self.method.shrink { [first, others] } else { [first; 2] };
+            if counts.iter().all(|c| (c / CANDIDATES - 1.0).abs() < 0.1) {
+                break;
+            }
+            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (CANDIDATES / c.max(0.05 * CANDIDATES)).sqrt());
+            lights.refit(&bandwidth(h));
+        }
+        // Light vertices per path that see a point.
+        let scale = PI * h[0].powi(2) * lights.count as f32;
+        (h, if self.method.weights { scale } else { scale * lights.typical_area() })
+    }
+
+    /// Finds how many links are occluded.
+    fn try_links(
+        &self,
+        shot: &Shot,
+        flock: &Flock,
+        (h, scale): ([f32; 2], f32),
+        starts: &Starts,
+    ) -> (Vec<f32>, [f32; DEPTHS]) {
+        let bandwidth = self.bandwidth(shot.world, 0, h);
+        let request = self.request(shot, STEP, bandwidth, (self.weighed(shot, h, scale), starts));
+        let lights = LightPaths::trace(&request);
+        let linker = self.linker(&request, &lights, STEP);
+        let eyes = &flock.eyes;
+        let candidates = Candidates::find(&lights, &link::tree(eyes), eyes.len());
+        let strength =
+            |light: u32, eye: &EyeVertex| self.strength(&linker, &Brief::new(&lights.vertices[light as usize]), eye);
+        let trials = |_| 3.0 * self.links;
+        let links = candidates.select(eyes, &self.groups(eyes), (shot.seed, STEP), trials, strength);
+        // One link seen and one not for a start: what is not known is asked for moderately.
+        let mut tiles = vec![(1.0_f32, 2.0_f32); flock.tiles];
+        let mut depths = [(1.0_f32, 2.0_f32); DEPTHS];
+        for (link, score) in links.iter().zip(linker.score(&links, eyes)) {
+            let eye = &eyes[link.eye as usize];
+            let add = |slot: &mut (f32, f32)| *slot = (slot.0 + f32::from(u8::from(score.visible)), slot.1 + 1.0);
+            if eye.depth == 0 || self.method.target {
+                add(&mut tiles[flock.tile_of[link.eye as usize]]);
+            }
+            add(&mut depths[(eye.depth as usize).min(DEPTHS - 1)]);
+        }
+        (tiles.iter().map(|(a, b)| a / b).collect(), depths.map(|(a, b)| a / b))
+    }
+}
+
+/// Camera vertices of the pilot, and the tiles that they belong to.
+struct Flock<'a> {
+    eyes: Vec<EyeVertex<'a>>,
+    tile_of: Vec<usize>,
+    tiles: usize,
+}
+
+impl Flock<'_> {
+    /// What each light brings to the picture through these vertices, relative to the brightness of its tile: by emitter
+    /// sampling, which finds the lights that are seen among thousands that are not.
+    fn brought(&self, shot: &Shot) -> Vec<f32> {
+        let world = shot.world;
+        let of = |(i, eye): (usize, &EyeVertex)| {
+            let mut sampler = PathSampler::new(shot.seed ^ 0x706c_6f74, i as u64, 0);
+            let n = world.receiving_normal(&eye.hit, &eye.shading);
+            std::array::from_fn::<_, LAMPS, _>(|_| {
+                let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
+                let p = eye.hit.point.p;
+                let (light, sample) = world.lights().sample_numbered(world.scene(), p, n, u_choice, u)?;
+                let (f_cos, _) = eye.shading.eval_cos_pdf(eye.hit.wo, sample.wi, Mode::Radiance);
+                let segment = World::segment(&eye.hit.point, sample.wi, &sample.end);
+                let visible = world.transmittance(&segment, MOST_CROSSINGS);
+                let value = luminance(visible * sample.radiance * f_cos * eye.throughput) / sample.pdf_w;
+                (value > 0.0).then_some((light, value))
+            })
+        };
+        let found: Vec<_> = self.eyes.par_iter().enumerate().map(of).collect();
+        let mut shine = vec![0.0; self.tiles];
+        for (lamps, tile) in found.iter().zip(&self.tile_of) {
+            lamps.iter().flatten().for_each(|lamp| shine[*tile] += lamp.1);
+        }
+        let dark = 0.01 * shine.iter().sum::<f32>() / self.tiles as f32;
+        let mut brought = vec![0.0; world.lights().len()];
+        for (lamps, tile) in found.iter().zip(&self.tile_of) {
+            lamps.iter().flatten().for_each(|lamp| brought[lamp.0] += lamp.1 / (shine[*tile] + dark));
+        }
+        brought
+    }
+}
+
+/// Footprints of each kind that a camera vertex should lie in: the paper's M.
+const CANDIDATES: f32 = 10.0;
