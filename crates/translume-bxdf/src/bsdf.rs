@@ -1,8 +1,8 @@
 //! The BSDF at a shading point: flags, samples, the closed set of models and the adapters over them.
 
 use crate::{
-    Conductor, Dielectric, Diffuse, DiffuseSheet, Plastic, Principled, Rgb, RoughConductor, RoughDielectric,
-    RoughPlastic, ThinDielectric, fresnel,
+    Conductor, Dielectric, Diffuse, DiffuseSheet, Entrance, Plastic, Principled, Rgb, RoughConductor, RoughDielectric,
+    RoughPlastic, Skin, ThinDielectric, fresnel,
 };
 use glam::{Vec2, Vec3};
 
@@ -34,6 +34,9 @@ impl Flags {
     pub const DELTA: Self = Self(16);
     /// Passes straight through, as if nothing were there (comes with `DELTA` and `TRANSMISSION`).
     pub const NULL: Self = Self(32);
+    /// Goes under the surface; where it comes from there, and how much, is for a [`crate::bssrdf::Bssrdf`] to say. A sample has
+    /// what the boundary lets through as its weight, the choice's probability as density, and no direction of its own.
+    pub const SUBSURFACE: Self = Self(64);
 
     /// Union.
     #[inline]
@@ -154,6 +157,10 @@ pub enum Model<'a> {
     RoughPlastic(RoughPlastic<'a>),
     /// See [`Principled`].
     Principled(Principled),
+    /// See [`Skin`].
+    Skin(Skin<'a>),
+    /// See [`Entrance`].
+    Entrance(Entrance<'a>),
     /// See [`Blend`]; boxed, since it is the one model that contains others.
     Blend(Box<Blend<'a>>),
     /// See [`CustomBsdf`].
@@ -216,6 +223,8 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.eval_pdf(wo, wi),
             Model::RoughPlastic(m) => m.eval_pdf(wo, wi),
             Model::Principled(m) => m.eval_pdf(wo, wi, mode),
+            Model::Skin(m) => m.eval_pdf(wo, wi),
+            Model::Entrance(m) => m.eval_pdf(wo, wi),
             Model::Blend(m) => m.eval_pdf(wo, wi, mode),
             Model::Custom(m) => m.model.eval_pdf(m.uv, wo, wi, mode),
         };
@@ -246,6 +255,8 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.sample(wo, u_lobe, u),
             Model::RoughPlastic(m) => m.sample(wo, u_lobe, u),
             Model::Principled(m) => m.sample(wo, u_lobe, u, mode),
+            Model::Skin(m) => m.sample(wo, u_lobe, u),
+            Model::Entrance(m) => m.sample(wo, u),
             Model::Blend(m) => m.sample(wo, u_lobe, u, mode),
             Model::Custom(m) => m.model.sample(m.uv, wo, u_lobe, u, mode),
         }?;
@@ -272,6 +283,8 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(_) => Plastic::FLAGS,
             Model::RoughPlastic(_) => RoughPlastic::FLAGS,
             Model::Principled(m) => m.flags(),
+            Model::Skin(m) => m.flags(),
+            Model::Entrance(_) => Entrance::FLAGS,
             Model::Blend(m) => m.first.flags().or(m.second.flags()),
             Model::Custom(m) => m.model.flags(),
         };
@@ -304,6 +317,8 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.diffuse_reflectance,
             Model::RoughPlastic(m) => m.diffuse_reflectance,
             Model::Principled(m) => m.base_color,
+            Model::Skin(m) => m.albedo,
+            Model::Entrance(_) => Rgb::ONE,
             Model::Blend(m) => m.first.albedo().lerp(m.second.albedo(), m.weight),
             Model::Custom(m) => m.model.albedo(m.uv),
         }
@@ -324,6 +339,7 @@ macro_rules! bsdf_from {
 bsdf_from!(Diffuse: Diffuse, DiffuseSheet: DiffuseSheet, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
 bsdf_from!(ThinDielectric: ThinDielectric, RoughDielectric: RoughDielectric, Plastic: Plastic);
 bsdf_from!(RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
+bsdf_from!(Skin: Skin<'a>, Entrance: Entrance<'a>);
 
 impl Blend<'_> {
     fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {

@@ -1,4 +1,4 @@
-//! Scattering at surfaces and in volumes: Fresnel's equations, microfacets, BSDFs, phase functions.
+//! Scattering at surfaces and in volumes: Fresnel's equations, microfacets, BSDFs, BSSRDFs, phase functions.
 //!
 //! A material at a shading point is a [`Bsdf`]: a closed set of analytic models (an enum with one private module each) and
 //! one open door, [`CustomBsdf`], for measured ones. The contract of all of them:
@@ -19,10 +19,13 @@
 //! textures fills the parameters per shading point, so the structs are small, plain and made without allocation.
 
 mod bsdf;
+pub mod bssrdf;
 mod conductor;
 mod dielectric;
 mod diffuse;
+mod diffusion;
 pub mod fresnel;
+pub mod homogeneous;
 mod ior;
 mod metals;
 mod microfacet;
@@ -31,11 +34,14 @@ mod plastic;
 mod principled;
 mod rough_dielectric;
 mod rough_plastic;
+mod skin;
 
 pub use bsdf::{Blend, Bsdf, Custom, CustomBsdf, Flags, Mode, Model, Sample};
+pub use bssrdf::Bssrdf;
 pub use conductor::{Conductor, RoughConductor};
 pub use dielectric::{Dielectric, ThinDielectric};
 pub use diffuse::{Diffuse, DiffuseSheet};
+pub use diffusion::{Boundary, Dipole, DipoleKind, Normalized, Sources};
 pub use ior::{AIR, BK7, POLYPROPYLENE, ior_by_name};
 pub use metals::{METAL_NAMES, metal_by_name};
 pub use microfacet::{Distribution, Microfacets};
@@ -44,6 +50,7 @@ pub use plastic::Plastic;
 pub use principled::Principled;
 pub use rough_dielectric::RoughDielectric;
 pub use rough_plastic::{Coat, RoughPlastic};
+pub use skin::{Entrance, Skin};
 
 /// Linear Rec. 709 red, green, blue.
 pub type Rgb = glam::Vec3;

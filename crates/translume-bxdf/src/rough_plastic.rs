@@ -45,12 +45,31 @@ impl Coat {
         self
     }
 
+    /// The fraction of light from the cosine `cos` that is let through.
     #[inline]
-    fn transmittance(&self, cos: f32) -> f32 {
+    pub(crate) fn transmittance(&self, cos: f32) -> f32 {
         let x = cos * (RESOLUTION - 1) as f32;
         let i = (x as usize).min(RESOLUTION - 2);
         let (a, b) = (self.transmittance[i], self.transmittance[i + 1]);
         a + (b - a) * (x - i as f32)
+    }
+
+    /// The reflection alone, for directions above: value without the cosine, and density of
+    /// [`Coat::sample_reflection`].
+    #[inline]
+    pub(crate) fn reflection(&self, wo: Vec3, wi: Vec3) -> (f32, f32) {
+        let microfacets = &self.microfacets;
+        let m = (wo + wi).normalize();
+        let cos = wo.dot(m);
+        let (d, g_o) = (microfacets.d(m), microfacets.g1(wo, m));
+        let r = fresnel::dielectric(cos, self.eta).reflectance;
+        let pdf_w = if microfacets.visible { d * g_o / (4.0 * wo.z) } else { d * m.z / (4.0 * cos) };
+        (r * d * g_o * microfacets.g1(wi, m) / (4.0 * wo.z * wi.z), pdf_w)
+    }
+
+    #[inline]
+    pub(crate) fn sample_reflection(&self, wo: Vec3, u: Vec2) -> Vec3 {
+        fresnel::reflect(wo, self.microfacets.sample(wo, u))
     }
 }
 
@@ -111,16 +130,11 @@ impl<'a> RoughPlastic<'a> {
 
     #[inline]
     fn eval_pdf_given(&self, wo: Vec3, wi: Vec3, t_o: f32, specular: f32) -> (Rgb, f32) {
-        let Coat { microfacets, eta, .. } = self.coat;
-        let m = (wo + wi).normalize();
-        let cos = wo.dot(m);
-        let (d, g_o) = (microfacets.d(m), microfacets.g1(wo, m));
-        let r = fresnel::dielectric(cos, *eta).reflectance;
-        let coat = r * d * g_o * microfacets.g1(wi, m) / (4.0 * wo.z * wi.z);
+        let eta = self.coat.eta;
+        let (coat, coat_pdf) = self.coat.reflection(wo, wi);
         let t_i = self.coat.transmittance(wi.z);
         let base = base_albedo(self.diffuse_reflectance, self.coat.inner_reflectance, self.nonlinear)
             * (FRAC_1_PI * t_i * t_o / (eta * eta));
-        let coat_pdf = if microfacets.visible { d * g_o / (4.0 * wo.z) } else { d * m.z / (4.0 * cos) };
         let pdf = specular * coat_pdf + (1.0 - specular) * warp::cosine_hemisphere_pdf(wi);
         (self.specular_reflectance * coat + base, pdf)
     }
@@ -133,8 +147,7 @@ impl<'a> RoughPlastic<'a> {
         let t_o = self.coat.transmittance(wo.z);
         let specular = lobe_probability(1.0 - t_o, self.specular_reflectance, self.diffuse_reflectance);
         let (wi, lobe) = if u_lobe < specular {
-            let m = self.coat.microfacets.sample(wo, u);
-            (fresnel::reflect(wo, m), Flags::GLOSSY)
+            (self.coat.sample_reflection(wo, u), Flags::GLOSSY)
         } else {
             (warp::cosine_hemisphere(u.x, u.y), Flags::DIFFUSE)
         };

@@ -34,7 +34,7 @@ mod world;
 
 pub use fingerprint::fingerprint;
 pub use sampler::PathSampler;
-pub use world::{Shading, SurfaceHit, World};
+pub use world::{Entry, Shading, SurfaceHit, World};
 
 /// Linear Rec. 709 red, green, blue.
 pub type Rgb = glam::Vec3;

@@ -4,12 +4,12 @@
 //! bump and normal maps bend the frame. Limit: of a blend, the frame that its first part bends serves both.
 
 use crate::texture::{self, Place};
-use crate::world::SurfaceHit;
+use crate::world::{SurfaceHit, Translucent};
 use crate::{Rgb, luminance};
 use glam::Vec3;
 use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
 use translume_core::frame::Frame;
-use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness};
+use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness, Subsurface};
 use translume_scene::{MaterialId, Scene, TextureId};
 
 /// What is tabulated once per material.
@@ -25,6 +25,10 @@ pub(crate) fn prepare(scene: &Scene) -> Vec<Prepared> {
         Model::RoughPlastic { plastic, distribution, alpha } => {
             Prepared::Coat(Box::new(bxdf::Coat::new(*distribution, *alpha, plastic.eta)))
         }
+        Model::Subsurface(s) => match s.roughness {
+            Some((distribution, alpha)) => Prepared::Coat(Box::new(bxdf::Coat::new(distribution, alpha, s.eta))),
+            None => Prepared::Nothing,
+        },
         _ => Prepared::Nothing,
     };
     scene.materials.iter().map(one).collect()
@@ -66,6 +70,8 @@ pub(crate) struct Shader<'a, 'b> {
     pub(crate) scene: &'a Scene,
     pub(crate) prepared: &'a [Prepared],
     pub(crate) hit: &'b SurfaceHit,
+    /// What is under the surface.
+    pub(crate) under: Option<&'a Translucent>,
     pub(crate) place: Place,
     pub(crate) frame: Frame,
     /// The frame's normal before it was bent.
@@ -125,6 +131,7 @@ impl<'a> Shader<'a, '_> {
                 .into()
             }
             Model::Principled(p) => self.principled(p).into(),
+            Model::Subsurface(s) => self.skin(id, s),
             Model::TwoSided { front, back } => {
                 let behind = self.hit.wo.dot(self.frame.n) < 0.0;
                 if behind {
@@ -158,6 +165,17 @@ impl<'a> Shader<'a, '_> {
                 }
             }
         }
+    }
+
+    /// The boundary of a translucent object, the same from both sides.
+    fn skin(&self, id: MaterialId, s: &Subsurface) -> Bsdf<'a> {
+        let coat = match &self.prepared[id.0] {
+            Prepared::Coat(coat) => Some(&**coat),
+            _ => None,
+        };
+        let albedo = self.under.map_or(Rgb::ZERO, |u| u.albedo(self.hit));
+        let specular_reflectance = self.unit(s.specular_reflectance);
+        Bsdf::from(bxdf::Skin { eta: s.eta, coat, specular_reflectance, albedo }).two_sided()
     }
 
     fn glass(&self, d: &Dielectric) -> (f32, Rgb, Rgb) {

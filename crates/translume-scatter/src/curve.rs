@@ -1,7 +1,8 @@
 //! What a fit says about one direction: a fall-off of reflectance with distance.
 
-use crate::diffusion::{Dipole, Normalized, Sources};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+use translume_bxdf::{Dipole, Normalized, Sources};
 
 /// R(r) = Σ c_k e^{d_k r} [Fuchs 2005, Eq. 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +34,15 @@ pub enum Curve {
 }
 
 impl Curve {
+    /// The integral over a plane: the fraction of the light that comes back, for samples in mm⁻².
+    pub fn total(&self) -> f64 {
+        match self {
+            Self::Exponential(e) => e.c.iter().zip(&e.d).map(|(c, d)| TAU * c / (d * d)).sum(),
+            Self::Dipole(d) => d.total(),
+            Self::Normalized(n) => n.albedo,
+        }
+    }
+
     /// The curve in the form that is quick to evaluate at many distances.
     pub fn evaluator(&self) -> Evaluator<'_> {
         match self {

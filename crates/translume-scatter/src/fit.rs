@@ -1,12 +1,13 @@
 //! The fit of one lit point: samples in, one fall-off per segment out.
 
 use crate::curve::{Curve, Evaluator};
-use crate::diffusion::{Boundary, Diffusion, DipoleKind, Normalized};
+use crate::diffusion::Diffusion;
 use crate::exponential::fit_sum;
 use crate::lanes;
 use crate::radial::{Datum, Scratch, fit};
 use crate::segments::{Directed, hat, refine, samples_of};
 use serde::{Deserialize, Serialize};
+use translume_bxdf::{Boundary, DipoleKind, Normalized};
 
 /// The models of the fall-off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -12,9 +12,13 @@
 //! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
 //! | `simulate` | captures of slabs and solids of heterogeneous media |
 //! | `planar` | the exponential model of a flat sample, and its error |
+//! | `hierarchical` | the hierarchical model of an object: throughput between vertices, local kernels, detail |
+//! | `relight` | models of objects under new lights |
 //! | `vertex` | the exponential model of an object: a fall-off for each vertex |
+//! | `material` | fitted models as materials for renderers |
 //!
-//! This crate knows nothing about options, scenes or how a picture is rendered from a model.
+//! This crate knows nothing about options, scenes or how a picture is rendered from a model: a material is a
+//! [`translume_bxdf::Bssrdf`].
 
 mod batch;
 pub mod capture;
@@ -22,20 +26,23 @@ mod curve;
 mod diffusion;
 mod exponential;
 mod fit;
+pub mod hierarchical;
 mod lanes;
 mod lm;
+pub mod material;
 mod npy;
 pub mod planar;
 mod radial;
+pub mod relight;
 mod segments;
 pub mod simulate;
 pub mod vertex;
 
 pub use batch::{FIT_VERSION, Sink, Summary, fit_file};
 pub use curve::{Curve, Evaluator, Exponentials};
-pub use diffusion::{Boundary, Dipole, DipoleKind, Normalized, Sources};
 pub use exponential::MAX_TERMS;
 pub use fit::{Fitter, Model, Params, PointEvaluator, PointFit, Segment};
 pub use npy::SampleFile;
 pub use segments::hat;
+pub use translume_bxdf::{Boundary, Dipole, DipoleKind, Normalized, Sources};
 pub use translume_image::{Error, Result};

@@ -3,7 +3,8 @@
 //! Meanings and defaults are those of Mitsuba 3, which the models of `translume-bxdf` follow too.
 
 use crate::{MaterialId, TextureId};
-use translume_bxdf::Distribution;
+use std::sync::Arc;
+use translume_bxdf::{Bssrdf, Distribution};
 
 /// A material.
 #[derive(Clone, Debug)]
@@ -58,6 +59,8 @@ pub enum Model {
     },
     /// Disney's principled model.
     Principled(Box<Principled>),
+    /// A translucent object: light comes out elsewhere than it went in.
+    Subsurface(Box<Subsurface>),
     /// Seen from behind (against the normal) it is `back`, turned over.
     TwoSided {
         /// On the side of the normal.
@@ -174,4 +177,21 @@ pub struct Principled {
     pub clearcoat: TextureId,
     /// Its gloss.
     pub clearcoat_gloss: TextureId,
+}
+
+/// Parameters of [`Model::Subsurface`].
+#[derive(Clone, Debug)]
+pub struct Subsurface {
+    /// How light spreads.
+    pub model: Arc<dyn Bssrdf>,
+    /// Millimetres of the model for each unit of its space.
+    pub mm_per_unit: f64,
+    /// The model's space is the shape's own (as it is for objects that were captured), not the world.
+    pub in_object_space: bool,
+    /// Index of refraction, inside over outside.
+    pub eta: f32,
+    /// Shape and roughness of the boundary's microfacets; `None`: smooth.
+    pub roughness: Option<(Distribution, f32)>,
+    /// Factor on what the boundary reflects.
+    pub specular_reflectance: TextureId,
 }

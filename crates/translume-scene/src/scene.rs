@@ -7,7 +7,7 @@ use crate::sensor::Sensor;
 use crate::texture::Texture;
 use glam::{DAffine3, DVec3};
 use std::sync::Arc;
-use translume_bxdf::Rgb;
+use translume_bxdf::{Bssrdf, Rgb};
 use translume_mesh::{Bounds, TriMesh};
 
 macro_rules! ids {
@@ -140,13 +140,18 @@ impl Default for Integrator {
     }
 }
 
+/// Reads a measured translucent object from a file or folder; an error is a line for the user.
+pub type BssrdfLoader = fn(&std::path::Path) -> Result<Arc<dyn Bssrdf>, String>;
+
 /// How to load.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default)]
 pub struct LoadOptions {
     /// Elements that change the picture and are not supported are left out with a warning, instead of an error.
     pub lenient: bool,
     /// Values of `$name` parameters in Mitsuba files, before the file's own `<default>`.
     pub defines: Vec<(String, String)>,
+    /// What reads measured translucent objects; scenes with such are refused without it.
+    pub bssrdf_loader: Option<BssrdfLoader>,
 }
 
 impl Scene {

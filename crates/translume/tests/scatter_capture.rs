@@ -223,7 +223,7 @@ fn a_mesh_is_captured_fitted_for_each_vertex_and_reported() {
     let text = fs::read_to_string(&path).unwrap();
     for (from, to, says) in [
         ("translume vertex model", "something", "not a model"),
-        ("\"version\":\"1.0\"", "\"version\":\"2.0\"", "version 2.0"),
+        ("\"version\":\"1.1\"", "\"version\":\"2.0\"", "version 2.0"),
         ("\"texels_per_edge\":", "\"texels_per_edge\":9", "do not go"),
         ("\"channels\":[\"red\"", "\"channels\":[\"teal\"", "not fitted to this capture"),
     ] {

@@ -60,8 +60,13 @@ impl Settings {
         survives
     }
 
-    /// Refuses scenes with media for `method`, which knows none.
+    /// Refuses scenes with media or translucent surfaces for `method`, which knows none.
     pub(crate) fn without_media(&self, method: &str, world: &World) -> Result<()> {
+        if world.has_subsurface() {
+            return Err(Error::Scene(format!(
+                "`{method}` knows no translucent surfaces: render this scene with `path` or `volpath`"
+            )));
+        }
         match world.has_media() || self.camera_medium.is_some() {
             true => {
                 Err(Error::Scene(format!("`{method}` knows no participating media: render this scene with `volpath`")))

@@ -2,12 +2,14 @@
 //!
 //! Source: Kajiya 1986; Veach 1997 (power heuristic). What counts as depth, when roulette begins and what `hide_emitters`
 //! does is as in Mitsuba 3's integrator of this name. Deviation: emitter sampling sees through masks and other surfaces that
-//! pass light straight, which Mitsuba leaves to chance; the expectation is the same. Media are ignored.
+//! pass light straight, which Mitsuba leaves to chance; the expectation is the same. Media are
+//! ignored. Under a translucent surface one point is drawn where the light went in (`world/translucent.rs`); both places
+//! together are one scattering.
 
 use super::direct::{Direct, Origin};
 use super::{Integrator, Settings, Work};
 use crate::Rgb;
-use crate::world::World;
+use crate::world::{Entry, World};
 use translume_bxdf::{Flags, Mode};
 use translume_core::sampler::Sampler;
 use translume_trace::Ray;
@@ -41,20 +43,32 @@ impl Integrator for Path {
             if !(hidden && found.is_none()) {
                 radiance += throughput * origin.emitted(world, found.as_ref(), ray.d);
             }
-            let Some(hit) = found else { break };
+            let Some(mut hit) = found else { break };
             if depth + 1 >= max_depth {
                 break;
             }
             let shading = world.shading(&hit);
-            let n = world.receiving_normal(&hit, &shading);
+            let mut n = world.receiving_normal(&hit, &shading);
+            let crossings = self.settings.max_depth.map_or(u32::MAX, |most| most - depth - 2);
             if shading.flags().has_smooth() {
-                let crossings = self.settings.max_depth.map_or(u32::MAX, |most| most - depth - 2);
                 let direct = Direct { n, crossings, weighed: true };
                 radiance += throughput * direct.sample(world, &hit, &shading, work);
             }
             let (u_lobe, u) = (work.sampler.next_1d(), work.sampler.next_2d());
-            let Some(sample) = shading.sample(hit.wo, u_lobe, u, Mode::Radiance) else { break };
+            let Some(mut sample) = shading.sample(hit.wo, u_lobe, u, Mode::Radiance) else { break };
             throughput *= sample.weight;
+            if sample.flags.contains(Flags::SUBSURFACE) {
+                // The light went in elsewhere: go on from there, as from a diffuse surface.
+                let Some(Entry { hit: entered, shading, weight }) = world.entry(&hit, &mut work.sampler) else { break };
+                throughput *= weight;
+                (hit, n) = (entered, shading.frame.n);
+                let direct = Direct { n, crossings, weighed: true };
+                radiance += throughput * direct.sample(world, &hit, &shading, work);
+                let (u_lobe, u) = (work.sampler.next_1d(), work.sampler.next_2d());
+                let Some(next) = shading.sample(hit.wo, u_lobe, u, Mode::Radiance) else { break };
+                throughput *= next.weight;
+                sample = next;
+            }
             eta *= sample.eta;
             if throughput.max_element() <= 0.0 {
                 break;

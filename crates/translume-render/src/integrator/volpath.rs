@@ -9,7 +9,7 @@
 use super::{Integrator, MOST_SURVIVAL, Settings, Work, survival};
 use crate::Rgb;
 use crate::light::LightSample;
-use crate::world::{Shading, SurfaceHit, World};
+use crate::world::{Entry, Shading, SurfaceHit, World};
 use glam::Vec3;
 use translume_bxdf::{Flags, Mode, Phase};
 use translume_core::sampler::Sampler;
@@ -234,6 +234,11 @@ impl Volpath {
         let (u_lobe, u) = (work.sampler.next_1d(), work.sampler.next_2d());
         let Some(sample) = shading.sample(hit.wo, u_lobe, u, Mode::Radiance) else { return false };
         walk.beta *= sample.weight;
+        if sample.flags.contains(Flags::SUBSURFACE) {
+            let Some(entry) = world.entry(hit, &mut work.sampler) else { return false };
+            walk.beta *= entry.weight;
+            return self.enter(world, walk, &entry, work);
+        }
         walk.medium = beyond(world, hit, sample.wi, walk.medium);
         if sample.flags.contains(Flags::NULL) {
             // Straight on: what is known of the direction stays.
@@ -245,6 +250,22 @@ impl Volpath {
         walk.specular = sample.flags.contains(Flags::DELTA);
         walk.r_l = walk.r_u / sample.pdf_w;
         (walk.p, walk.n) = (hit.point.p, world.receiving_normal(hit, &shading));
+        walk.ray = hit.point.spawn(sample.wi);
+        self.goes_on(walk, MOST_SURVIVAL, work)
+    }
+
+    /// Goes on from where the light entered a translucent object, as from a diffuse surface; whether the path does.
+    fn enter(&self, world: &World, walk: &mut Walk, entry: &Entry, work: &mut Work) -> bool {
+        let Entry { hit, shading, .. } = entry;
+        (walk.p, walk.n) = (hit.point.p, shading.frame.n);
+        self.direct(world, walk, &Vertex::Surface(hit, shading), hit.wo, work);
+        let (u_lobe, u) = (work.sampler.next_1d(), work.sampler.next_2d());
+        let Some(sample) = shading.sample(hit.wo, u_lobe, u, Mode::Radiance) else { return false };
+        walk.beta *= sample.weight;
+        walk.medium = beyond(world, hit, sample.wi, walk.medium);
+        walk.depth += 1;
+        walk.specular = false;
+        walk.r_l = walk.r_u / sample.pdf_w;
         walk.ray = hit.point.spawn(sample.wi);
         self.goes_on(walk, MOST_SURVIVAL, work)
     }

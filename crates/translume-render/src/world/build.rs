@@ -3,6 +3,7 @@
 //! Shapes that stand once are baked into one geometry in world space. Large meshes that stand more than once, groups, and
 //! quadrics under transforms that are no similarities get geometries of their own.
 
+use super::translucent::{Translucent, subsurface_of};
 use super::{Form, Surface, World};
 use crate::light::{Faces, Lights, MeshLight, Quadric, ShapeForm, ShapeLight, bright_normal};
 use crate::material::{mean_luminance, passes, prepare, sided};
@@ -14,11 +15,18 @@ use std::collections::HashMap;
 use std::f32::consts::PI;
 use std::sync::Arc;
 use translume_mesh::TriMesh;
-use translume_scene::{Geometry, Group, Scene, Shape};
+use translume_scene::material::Model;
+use translume_scene::{Geometry, Group, MaterialId, Scene, Shape};
 use translume_trace as trace;
 
 /// Meshes of fewer triangles are copied rather than placed.
 const SMALL: usize = 512;
+
+/// Where a geometry stands: the instance it will be, and its transform.
+struct Standing {
+    instance: u32,
+    world_from_geometry: DAffine3,
+}
 
 /// The tracer's side of the world under construction.
 #[derive(Default)]
@@ -29,6 +37,7 @@ struct Parts {
     lights: Vec<ShapeLight>,
     /// Geometries of meshes that stand more than once.
     shared: HashMap<*const TriMesh, Arc<trace::Geometry>>,
+    translucent: HashMap<(u32, u32), Translucent>,
     /// Areas of those among them that shine.
     faces: HashMap<*const TriMesh, Option<Arc<Faces>>>,
 }
@@ -59,7 +68,7 @@ pub(crate) fn world(scene: Arc<Scene>) -> Result<World> {
 }
 
 fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
-    let Parts { instances, bases, surfaces, lights, .. } = parts;
+    let Parts { instances, bases, surfaces, lights, translucent, .. } = parts;
     let tracer = trace::Scene::new(instances)?;
     let bounds = tracer.bounds();
     let (center, radius) = match bounds.is_empty() {
@@ -71,6 +80,7 @@ fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
         has_null: surfaces.iter().any(|s| s.passes.0),
         media: scene.media.iter().map(Tracked::new).collect(),
         prepared: prepare(&scene),
+        translucent,
         scene,
         tracer,
         surfaces,
@@ -89,7 +99,13 @@ impl Parts {
         for (shape, form) in baked {
             let first_light = self.lights_of(scene, shape, &form, &DAffine3::IDENTITY);
             shapes.push(form.shape.clone());
-            self.surfaces.push(surface(scene, shape, form.form, first_light));
+            let surface = surface(scene, shape, form.form, first_light)?;
+            if let Some(material) = surface.subsurface {
+                let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
+                let here = Standing { instance: self.instances.len() as u32, world_from_geometry: DAffine3::IDENTITY };
+                self.add_translucent(scene, material, geometry, &here, shape.world_from_object)?;
+            }
+            self.surfaces.push(surface);
         }
         self.place(Arc::new(trace::Geometry::new(shapes)?), DAffine3::IDENTITY);
         Ok(())
@@ -116,7 +132,12 @@ impl Parts {
             _ => Arc::new(trace::Geometry::new(vec![own.shape])?),
         };
         self.begin();
-        self.surfaces.push(Surface { one_light, ..surface(scene, shape, own.form, first_light) });
+        let surface = Surface { one_light, ..surface(scene, shape, own.form, first_light)? };
+        if let Some(material) = surface.subsurface {
+            let here = Standing { instance: self.instances.len() as u32, world_from_geometry: world };
+            self.add_translucent(scene, material, geometry.clone(), &here, world)?;
+        }
+        self.surfaces.push(surface);
         self.place(geometry, world);
         Ok(())
     }
@@ -138,10 +159,24 @@ impl Parts {
                 }
             }
             let base = self.surfaces.len() as u32;
-            let tracer_shapes = baked.iter().map(|(_, form)| form.shape.clone()).collect();
-            self.surfaces.extend(baked.into_iter().map(|(shape, form)| surface(scene, shape, form.form, None)));
+            let tracer_shapes: Vec<trace::Shape> = baked.iter().map(|(_, form)| form.shape.clone()).collect();
+            let mut under = Vec::new();
+            for (number, (shape, form)) in baked.into_iter().enumerate() {
+                let surface = surface(scene, shape, form.form, None)?;
+                if let Some(material) = surface.subsurface {
+                    let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
+                    under.push((base + number as u32, material, geometry, shape.world_from_object));
+                }
+                self.surfaces.push(surface);
+            }
             let geometry = Arc::new(trace::Geometry::new(tracer_shapes)?);
             for place in &places {
+                for (surface, material, geometry, group_from_object) in &under {
+                    let Model::Subsurface(model) = &scene.materials[material.0].model else { continue };
+                    let object_from_world = (*place * *group_from_object).inverse();
+                    let made = Translucent::new(model, geometry.clone(), *place, object_from_world, *surface)?;
+                    self.translucent.insert((self.instances.len() as u32, *surface), made);
+                }
                 self.bases.push(base);
                 self.instances.push(trace::Instance { geometry: geometry.clone(), world_from_object: *place });
                 for shape in &alone {
@@ -149,6 +184,22 @@ impl Parts {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// The surface that is pushed next is translucent.
+    fn add_translucent(
+        &mut self,
+        scene: &Scene,
+        material: MaterialId,
+        geometry: Arc<trace::Geometry>,
+        here: &Standing,
+        world_from_object: DAffine3,
+    ) -> Result<()> {
+        let Model::Subsurface(model) = &scene.materials[material.0].model else { return Ok(()) };
+        let surface = self.surfaces.len() as u32;
+        let made = Translucent::new(model, geometry, here.world_from_geometry, world_from_object.inverse(), surface)?;
+        self.translucent.insert((here.instance, surface), made);
         Ok(())
     }
 
@@ -300,7 +351,7 @@ fn in_own_space(geometry: &Geometry) -> Baked {
 }
 
 /// The factor of a transform that only rotates, mirrors, moves and scales alike.
-fn similarity(m: &DAffine3) -> Option<f64> {
+pub(super) fn similarity(m: &DAffine3) -> Option<f64> {
     let c = [m.matrix3.x_axis, m.matrix3.y_axis, m.matrix3.z_axis];
     let scale = c[0].length();
     let alike = c.iter().all(|v| (v.length() - scale).abs() <= 1e-6 * scale);
@@ -308,8 +359,9 @@ fn similarity(m: &DAffine3) -> Option<f64> {
     (alike && square && scale > 0.0).then_some(scale)
 }
 
-fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -> Surface {
-    Surface {
+fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -> Result<Surface> {
+    Ok(Surface {
+        subsurface: subsurface_of(scene, shape.material)?,
         form,
         material: shape.material,
         passes: passes(scene, shape.material),
@@ -320,5 +372,5 @@ fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -
         flip: shape.flip_normals,
         interior: shape.interior,
         exterior: shape.exterior,
-    }
+    })
 }

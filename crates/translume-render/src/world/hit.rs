@@ -33,6 +33,8 @@ pub struct SurfaceHit {
     /// Triangle of the mesh; 0 for quadrics.
     pub prim: u32,
     pub(crate) surface: u32,
+    /// Instance of the tracer.
+    pub(crate) instance: u32,
     pub(crate) uv: Vec2,
     pub(crate) color: Rgb,
     pub(crate) dp_du: Vec3,
@@ -113,9 +115,13 @@ impl SurfaceHit {
 impl World {
     /// Fills in what shading wants.
     pub(crate) fn surface_hit(&self, ray: &Ray, hit: &Hit) -> SurfaceHit {
-        let index = self.surface_index(hit);
-        let surface = &self.surfaces[index];
-        let mut point = self.tracer.surface(ray, hit);
+        self.hit_on(&self.tracer, self.surface_index(hit) as u32, ray, hit)
+    }
+
+    /// The same for a `tracer` with shapes of this world, for the surface numbered `index`.
+    pub(super) fn hit_on(&self, tracer: &translume_trace::Scene, index: u32, ray: &Ray, hit: &Hit) -> SurfaceHit {
+        let surface = &self.surfaces[index as usize];
+        let mut point = tracer.surface(ray, hit);
         let (mut local, color) = match &surface.form {
             Form::Mesh(mesh) => {
                 let b = Vec2::new(hit.u, hit.v);
@@ -124,13 +130,13 @@ impl World {
             }
             Form::Quadric(quadric) => {
                 let (geometry, object_from_geometry) = &**quadric;
-                let own = self.tracer.object_from_world(hit.instance).transform_point3(point.p.as_dvec3());
+                let own = tracer.object_from_world(hit.instance).transform_point3(point.p.as_dvec3());
                 let place = on_quadric(geometry, object_from_geometry.transform_point3(own));
                 (place.moved(&object_from_geometry.matrix3.inverse().as_mat3()), Rgb::ONE)
             }
         };
-        if !self.tracer.is_in_place(hit.instance) {
-            local = local.moved(&self.tracer.instances()[hit.instance as usize].world_from_object.matrix3.as_mat3());
+        if !tracer.is_in_place(hit.instance) {
+            local = local.moved(&tracer.instances()[hit.instance as usize].world_from_object.matrix3.as_mat3());
         }
         // The normal proper is on the side of the shading normals, as far as there are any.
         let mut n = match local.normal {
@@ -152,7 +158,8 @@ impl World {
             wo: -ray.d.normalize(),
             t: hit.t,
             prim: hit.prim,
-            surface: index as u32,
+            surface: index,
+            instance: hit.instance,
             uv: local.uv,
             color,
             dp_du: local.dp_du,

@@ -2,6 +2,7 @@
 
 mod build;
 mod hit;
+mod translucent;
 
 use crate::camera::CameraSample;
 use crate::light::{End, Lights, light_of};
@@ -12,7 +13,10 @@ use crate::{Error, Result, Rgb};
 pub(crate) use build::world as compile;
 use glam::{DAffine3, Vec2, Vec3};
 pub use hit::{Shading, SurfaceHit};
+use std::collections::HashMap;
 use std::sync::Arc;
+pub use translucent::Entry;
+pub(crate) use translucent::Translucent;
 use translume_mesh::TriMesh;
 use translume_scene::{MaterialId, MediumId, Scene, TextureId};
 use translume_trace::{Ray, SurfacePoint};
@@ -28,6 +32,8 @@ pub struct World {
     prepared: Vec<Prepared>,
     lights: Lights,
     media: Vec<Tracked>,
+    /// Translucent shapes, by instance of the tracer and surface.
+    translucent: HashMap<(u32, u32), Translucent>,
     /// Some surface lets light pass straight.
     has_null: bool,
     center: Vec3,
@@ -51,6 +57,8 @@ pub(crate) struct Surface {
     /// All primitives are that one light.
     pub(crate) one_light: bool,
     flip: bool,
+    /// The subsurface material that `material` is, through adapters.
+    subsurface: Option<MaterialId>,
     interior: Option<MediumId>,
     exterior: Option<MediumId>,
 }
@@ -121,8 +129,8 @@ impl World {
     #[inline]
     pub fn shading(&self, hit: &SurfaceHit) -> Shading<'_> {
         let surface = &self.surfaces[hit.surface as usize];
-        let (scene, prepared) = (&self.scene, &self.prepared);
-        let mut shader = Shader { scene, prepared, hit, place: hit.place(), frame: hit.frame, unbent: None };
+        let (scene, prepared, under) = (&self.scene, &self.prepared, self.translucent(hit));
+        let mut shader = Shader { scene, prepared, hit, under, place: hit.place(), frame: hit.frame, unbent: None };
         let bsdf = shader.bsdf(surface.material);
         Shading { bsdf, frame: shader.frame, unbent: shader.unbent }
     }

@@ -3,13 +3,15 @@
 
 use super::model::PlanarModel;
 use super::samples::PlanarCapture;
+use crate::capture::Camera;
 use crate::fit::Model;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use translume_image::{Error, ExrOptions, Precision, Result, atomic, read_exr_channels, write_exr_channels};
 
 /// Version of the format; a reader refuses another major one.
-pub const MODEL_VERSION: &str = "1.0";
+pub const MODEL_VERSION: &str = "1.1";
+pub(crate) const FORMAT: &str = "translume planar model";
 
 /// What stands in `model.json` beside the points.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,9 +36,19 @@ pub struct ModelHead {
     pub channels: Vec<String>,
     /// View and laser position of each point's frames.
     pub frames: Vec<[usize; 2]>,
+    /// Relative index of refraction that the samples were made with; since 1.1, before: 1.3.
+    #[serde(default = "eta_before")]
+    pub eta: f64,
+    /// The cameras of the textures; since 1.1.
+    #[serde(default)]
+    pub cameras: Vec<Camera>,
     /// Power of the laser in each point's frame and channel, against what the rig says, where it was estimated.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub gains: Vec<Vec<f64>>,
+}
+
+fn eta_before() -> f64 {
+    1.3
 }
 
 #[derive(Serialize, Deserialize)]
@@ -73,41 +85,60 @@ pub fn save_model(path: &Path, head: &ModelHead, model: &PlanarModel, size: (usi
 /// Reads a model that was fitted to `capture`.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Invalid`] for damaged files or a model of another capture; [`Error::Unsupported`] for another
-/// version.
+/// As [`read_model`], and [`Error::Invalid`] for a model of another capture.
 pub fn load_model(path: &Path, capture: &PlanarCapture) -> Result<(ModelHead, PlanarModel)> {
+    let (head, model) = read_model(path)?;
+    let rig = &capture.capture.rig;
+    let frames = capture.spots.iter().map(|s| s.frame);
+    let same = head.channels.iter().eq(rig.channels.iter().map(|c| &c.name))
+        && frames.eq(head.frames.iter().copied())
+        && head.cameras.iter().eq(rig.views.iter().map(|v| &v.camera));
+    match same {
+        true => Ok((head, model)),
+        false => {
+            let what = "it was not fitted to this capture: channels, cameras or laser positions differ";
+            Err(Error::invalid(&path.join("model.json"), what))
+        }
+    }
+}
+
+/// Reads a model with its textures.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] for damaged files; [`Error::Unsupported`] for another version, and for 1.0, which has no
+/// cameras.
+pub fn read_model(path: &Path) -> Result<(ModelHead, PlanarModel)> {
     let file = path.join("model.json");
     let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
     let head: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    if head["format"] != "translume planar model" {
+    if head["format"] != FORMAT {
         return Err(Error::invalid(&file, "not a planar model of translume"));
     }
     let version = head["version"].as_str().unwrap_or_default();
     if version.split('.').next() != MODEL_VERSION.split('.').next() {
         return Err(Error::unsupported(&file, format!("version {version}; this program reads {MODEL_VERSION}")));
     }
-    let Whole { head, mut model } = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    let channels: Vec<&String> = capture.capture.rig.channels.iter().map(|c| &c.name).collect();
-    let fits =
-        |p: &super::model::LitPoint| p.scale.len() == channels.len() && [1, channels.len()].contains(&p.fall_off.len());
-    let frames = capture.spots.iter().map(|s| s.frame);
-    if !head.channels.iter().eq(channels.iter().copied()) || !frames.eq(head.frames.iter().copied()) {
-        return Err(Error::invalid(&file, "it was not fitted to this capture: channels or laser positions differ"));
+    let Whole { head, mut model }: Whole =
+        serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
+    let channels = head.channels.len();
+    if head.cameras.is_empty() {
+        return Err(Error::unsupported(&file, "it does not say where the cameras were; fit it again"));
     }
-    let gains = |g: &Vec<f64>| g.len() == channels.len() && g.iter().all(|g| *g > 0.0 && g.is_finite());
+    let fits = |p: &super::model::LitPoint| p.scale.len() == channels && [1, channels].contains(&p.fall_off.len());
+    let gains = |g: &Vec<f64>| g.len() == channels && g.iter().all(|g| *g > 0.0 && g.is_finite());
     if !(head.gains.is_empty() || head.gains.len() == head.frames.len() && head.gains.iter().all(gains)) {
         return Err(Error::invalid(&file, "its gains do not go with its frames and channels"));
     }
-    if model.points.len() != head.frames.len() || !model.points.iter().all(fits) {
+    if channels == 0 || model.points.len() != head.frames.len() || !model.points.iter().all(fits) {
         return Err(Error::invalid(&file, "its points do not go with its frames and channels"));
     }
-    for view in 0..capture.capture.rig.views.len() {
+    for (view, camera) in head.cameras.iter().enumerate() {
         let file = path.join(format!("texture-{view}.exr"));
         let mut texture = read_exr_channels(&file, 0)?;
         let mut take = |name: String| {
             let plane = texture.planes.iter_mut().find(|p| p.0 == name).map(|p| std::mem::take(&mut p.1));
             plane
-                .filter(|p| p.len() == capture.capture.frames.pixels())
+                .filter(|p| Some(p.len()) == camera.width.checked_mul(camera.height))
                 .ok_or_else(|| Error::invalid(&file, format!("no channel {name} of the frames' size")))
         };
         let plane = |kind: &str, take: &mut dyn FnMut(String) -> Result<Vec<f32>>| -> Result<Vec<Vec<f32>>> {

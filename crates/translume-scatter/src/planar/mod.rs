@@ -8,7 +8,8 @@ mod model;
 mod samples;
 
 pub use error::{ErrorMap, Mean, error_map};
-pub use file::{MODEL_VERSION, ModelHead, load_model, save_model};
+pub(crate) use file::FORMAT;
+pub use file::{MODEL_VERSION, ModelHead, load_model, read_model, save_model};
 pub use gains::estimate_gains;
 pub(crate) use model::fit_shared;
 pub use model::{LitPoint, PlanarModel, PlanarParams, fit_planar};

@@ -8,11 +8,11 @@ use crate::fit::Model;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use translume_image::{Error, ExrOptions, Precision, Result, atomic, read_exr_channels, write_exr_channels};
-use translume_mesh::ply;
+use translume_mesh::{ReadOptions, TriMesh, ply};
 
 /// Version of the format; a reader refuses another major one.
-pub const VERTEX_MODEL_VERSION: &str = "1.0";
-const FORMAT: &str = "translume vertex model";
+pub const VERTEX_MODEL_VERSION: &str = "1.1";
+pub(crate) const FORMAT: &str = "translume vertex model";
 
 /// What stands in `model.json` beside the vertices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,6 +27,13 @@ pub struct VertexHead {
     pub threshold: f64,
     /// Names of the channels.
     pub channels: Vec<String>,
+    /// Relative index of refraction that the samples were made with; since 1.1, before: 1.3.
+    #[serde(default = "eta_before")]
+    pub eta: f64,
+}
+
+fn eta_before() -> f64 {
+    1.3
 }
 
 #[derive(Serialize, Deserialize)]
@@ -64,9 +71,23 @@ pub fn save_vertex_model(path: &Path, head: &VertexHead, model: &VertexModel, me
 /// Reads a model that was fitted to `mesh`.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Invalid`] for damaged files or a model of another capture; [`Error::Unsupported`] for another
-/// version.
+/// As [`read_vertex_model`], and [`Error::Invalid`] for a model of another capture.
 pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead, VertexModel)> {
+    let (head, model, _) = read_vertex_model(path)?;
+    let channels = mesh.capture.rig.channels.iter().map(|c| &c.name);
+    let vertices = mesh.surface.mesh.positions.len();
+    if !head.channels.iter().eq(channels) || model.vertices.len() != vertices {
+        let file = path.join("model.json");
+        return Err(Error::invalid(&file, "it was not fitted to this capture: channels or vertices differ"));
+    }
+    Ok((head, model))
+}
+
+/// Reads a model and its mesh.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] for damaged files; [`Error::Unsupported`] for another version.
+pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMesh)> {
     let file = path.join("model.json");
     let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
@@ -78,18 +99,21 @@ pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead,
         let what = format!("version {version}; this program reads {VERTEX_MODEL_VERSION}");
         return Err(Error::unsupported(&file, what));
     }
-    let Whole { head, mut model, .. } =
+    let Whole { head, mut model, .. }: Whole =
         serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    let channels: Vec<&String> = mesh.capture.rig.channels.iter().map(|c| &c.name).collect();
-    let vertices = mesh.surface.mesh.positions.len();
-    if !head.channels.iter().eq(channels.iter().copied()) || model.vertices.len() != vertices {
-        return Err(Error::invalid(&file, "it was not fitted to this capture: channels or vertices differ"));
+    let head: VertexHead = head;
+    let mesh_file = path.join("mesh.ply");
+    let mesh = translume_mesh::read(&mesh_file, &ReadOptions::default())
+        .map_err(|e| Error::invalid(&file, format!("its mesh: {e}")))?
+        .merged()
+        .filter(|m| !m.indices.is_empty() && m.fault().is_none());
+    let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no sound triangles"))?;
+    let sound = |v: &super::Vertex| v.scale.len() == head.channels.len() && v.fall_off.segments.len() <= 1;
+    let counts = model.vertices.len() == mesh.positions.len() && (1..=32).contains(&model.texels_per_edge);
+    if !counts || head.channels.is_empty() || !model.vertices.iter().all(sound) {
+        return Err(Error::invalid(&file, "its vertices do not go with its mesh and channels"));
     }
-    let sound = |v: &super::Vertex| v.scale.len() == channels.len() && v.fall_off.segments.len() <= 1;
-    if !model.vertices.iter().all(sound) || !(1..=32).contains(&model.texels_per_edge) {
-        return Err(Error::invalid(&file, "its vertices do not go with its channels"));
-    }
-    let expected = Texels { per_edge: model.texels_per_edge }.per_face() * mesh.surface.mesh.indices.len();
+    let expected = Texels { per_edge: model.texels_per_edge }.per_face() * mesh.indices.len();
     let file = path.join("texture.exr");
     let mut texture = read_exr_channels(&file, 0)?;
     let mut take = |name: String| {
@@ -101,5 +125,5 @@ pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead,
         model.texture.push(take(format!("alpha.{name}"))?);
         model.texture_samples.push(take(format!("samples.{name}"))?);
     }
-    Ok((head, model))
+    Ok((head, model, mesh))
 }

@@ -11,6 +11,7 @@ mod model;
 mod samples;
 
 pub use error::error_map;
-pub use file::{VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, save_vertex_model};
-pub use model::{Vertex, VertexModel, VertexParams, fit_vertices};
-pub use samples::MeshCapture;
+pub(crate) use file::FORMAT;
+pub use file::{VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, read_vertex_model, save_vertex_model};
+pub use model::{Faults, Vertex, VertexModel, VertexParams, fit_vertices};
+pub use samples::{Beam, MeshCapture};

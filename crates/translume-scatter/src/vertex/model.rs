@@ -4,13 +4,15 @@
 use super::interpolate::interpolate;
 use super::samples::{MeshCapture, Pixel};
 use crate::capture::{Texels, norm, sub};
-use crate::curve::Curve;
 use crate::fit::{Fitter, Params, PointFit};
 use crate::planar::{fit_shared, held_out};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
+use translume_core::rng::Pcg32;
+use translume_core::warp;
 use translume_image::Result;
+use translume_mesh::TriMesh;
 
 /// What to fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +51,9 @@ pub struct VertexModel {
     pub vertices: Vec<Vertex>,
     /// Laser positions whose fits were unstable with any number of terms.
     pub unstable: usize,
+    /// Why; since 1.1.
+    #[serde(default)]
+    pub faults: Faults,
     /// Parts of a triangle's edge in the texture.
     pub texels_per_edge: usize,
     /// α of each channel and texel; 1 where nothing was measured. Kept in a file of its own.
@@ -57,6 +62,19 @@ pub struct VertexModel {
     /// Samples behind each of these values.
     #[serde(skip)]
     pub texture_samples: Vec<Vec<f32>>,
+}
+
+/// What was wrong with the fits of most terms.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Faults {
+    /// Too few samples, or no curve goes through them.
+    pub few: usize,
+    /// An error much larger than those of the others.
+    pub odd: usize,
+    /// More light would leave the object than came in.
+    pub bright: usize,
+    /// Those that were stable with fewer terms than asked for.
+    pub fewer_terms: usize,
 }
 
 impl Vertex {
@@ -121,15 +139,29 @@ pub fn fit_vertices(mesh: &MeshCapture, params: &VertexParams, progress: impl Fn
     let mut rms: Vec<f64> = tried.iter().filter_map(|t| t[0].1.rms).collect();
     rms.sort_by(f64::total_cmp);
     let limit = params.worst * rms.get(rms.len() / 2).copied().unwrap_or(f64::INFINITY);
-    let stable: Vec<Option<Found>> =
-        tried.into_iter().map(|t| t.into_iter().find(|(_, fit)| is_stable(fit, limit))).collect();
+    let spread = Spread::new(&mesh.surface.mesh);
+    let pick = |(tried, beam): (Vec<Found>, &super::samples::Beam)| {
+        let whole = tried.first().and_then(|(scale, fit)| fault(fit, scale, beam.at, limit, &spread));
+        let sound = tried.into_iter().find(|(scale, fit)| fault(fit, scale, beam.at, limit, &spread).is_none());
+        (sound, whole)
+    };
+    let (stable, wrong): (Vec<Option<Found>>, Vec<Option<Fault>>) =
+        tried.into_par_iter().zip(&mesh.beams).map(pick).unzip();
     let mut vertices = assign(mesh, params, &stable);
     interpolate(&mesh.surface.mesh, &params.fit, &mut vertices);
     let texels = Texels::about(&mesh.surface.mesh, pixel_mm(mesh));
+    let lost = |fault| stable.iter().zip(&wrong).filter(|(s, f)| s.is_none() && **f == Some(fault)).count();
     let unstable = stable.iter().filter(|s| s.is_none()).count();
+    let faults = Faults {
+        few: lost(Fault::Few),
+        odd: lost(Fault::Odd),
+        bright: lost(Fault::Bright),
+        fewer_terms: stable.iter().zip(&wrong).filter(|(s, f)| s.is_some() && f.is_some()).count(),
+    };
     let mut model = VertexModel {
         vertices,
         unstable,
+        faults,
         texels_per_edge: texels.per_edge,
         texture: Vec::new(),
         texture_samples: Vec::new(),
@@ -158,20 +190,67 @@ fn samples(mesh: &MeshCapture, beam: usize) -> Result<Vec<Vec<[f32; 3]>>> {
 
 /// Samples that a stable fit needs.
 const FEWEST: usize = 24;
-/// The most that may leave of what came in, as the fall-off goes on along a plane: more is no reflectance.
+/// The most that may leave the object of what came in: more is no reflectance.
 const MOST: f64 = 1.5;
 
-/// Whether a fit may be used: enough samples, an error like that of others, and no more light than there was.
-fn is_stable(fit: &PointFit, limit: f64) -> bool {
-    let total = |curve: &Curve| match curve {
-        Curve::Exponential(e) => TAU * e.c.iter().zip(&e.d).map(|(c, d)| c / (d * d)).sum::<f64>(),
-        // Diffusion conserves energy but for a free scale.
-        Curve::Dipole(d) => d.total(),
-        Curve::Normalized(_) => 0.5,
-    };
-    fit.samples >= FEWEST
-        && fit.rms.is_some_and(|rms| rms <= limit)
-        && fit.segments.iter().all(|s| (0.0..=MOST).contains(&total(&s.curve)))
+/// Why a fit is not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    /// Too few samples, or no curve goes through them.
+    Few,
+    /// An error much larger than those of the others.
+    Odd,
+    /// More light leaves the object than came in.
+    Bright,
+}
+
+/// What is wrong with a fit of the beam that hits at `at`, if anything is.
+fn fault(fit: &PointFit, scale: &[f64], at: [f64; 3], limit: f64, spread: &Spread) -> Option<Fault> {
+    let Some(curve) = fit.evaluator().filter(|_| fit.samples >= FEWEST) else { return Some(Fault::Few) };
+    if fit.rms.is_none_or(|rms| rms > limit) {
+        return Some(Fault::Odd);
+    }
+    let brightest = scale.iter().copied().fold(0.0, f64::max);
+    let total = brightest * spread.integral(at, |r| curve.value(r, 0.0));
+    (!(0.0..=MOST).contains(&total)).then_some(Fault::Bright)
+}
+
+/// Points spread evenly over a mesh, to integrate fall-offs over it. On a plane a slow fall-off would go on for ever, and thin
+/// parts have such fall-offs: light runs along them like in a rod.
+struct Spread {
+    points: Vec<[f64; 3]>,
+    /// Area for each of them.
+    area: f64,
+    /// Nearer than this there are too few of them; the surface counts as a plane.
+    near: f64,
+}
+
+impl Spread {
+    const POINTS: usize = 4096;
+
+    fn new(mesh: &TriMesh) -> Self {
+        let total = mesh.area();
+        let area = (total / Self::POINTS as f64).max(f64::MIN_POSITIVE);
+        let (mut points, mut sum, mut rng) = (Vec::new(), 0.0, Pcg32::new(1, 1));
+        for face in 0..mesh.indices.len() {
+            let [a, b, c] = mesh.corners(face).map(|p| p.as_dvec3());
+            sum += 0.5 * (b - a).cross(c - a).length();
+            while (points.len() as f64 + 0.5) * area < sum {
+                let at = warp::uniform_triangle(rng.next_f32(), rng.next_f32()).as_dvec2();
+                points.push((a + (b - a) * at.x + (c - a) * at.y).to_array());
+            }
+        }
+        // A dozen of them.
+        Self { points, area, near: (4.0 * area).sqrt() }
+    }
+
+    fn integral(&self, at: [f64; 3], value: impl Fn(f64) -> f64) -> f64 {
+        let step = self.near / 64.0;
+        let ring = |i: u32| (f64::from(i) + 0.5) * step;
+        let inner: f64 = (0..64).map(|i| TAU * ring(i) * step * value(ring(i))).sum();
+        let distances = self.points.iter().map(|p| norm(sub(*p, at)));
+        inner + distances.filter(|r| *r >= self.near).map(value).sum::<f64>() * self.area
+    }
 }
 
 /// Each vertex gets the fall-off of the nearest stable laser position, if one is in reach.
@@ -211,7 +290,12 @@ fn pixel_mm(mesh: &MeshCapture) -> f64 {
     norm(sub(camera.eye(), center)) / camera.focal_px
 }
 
-/// α(x_o): the mean over the laser positions of sample/model, for samples of medium intensity [Fuchs 2005, Eq. 6].
+/// α(x_o): a mean over the laser positions of sample/model, for samples of medium intensity.
+///
+/// Deviation from [Fuchs 2005, Eq. 6]: the mean is that of logarithms, and it is drawn towards 1 where samples are few. On an object
+/// a texel has a handful of samples, whose ratios to the model scatter by a factor of two or three: their plain mean lies above
+/// 1 everywhere and makes the model worse than without. With the variances of a one-way random effects model, σ_w² within
+/// texels and σ_b² between them, ln α = mean · n/(n + σ_w²/σ_b²).
 fn modulate(
     mesh: &MeshCapture,
     params: &VertexParams,
@@ -221,7 +305,7 @@ fn modulate(
 ) -> Result<()> {
     let count = texels.per_face() * mesh.surface.mesh.indices.len();
     for channel in 0..mesh.capture.rig.channels.len() {
-        let (mut sums, mut counts) = (vec![0.0f32; count], vec![0.0f32; count]);
+        let (mut sums, mut counts, mut squares) = (vec![0.0f32; count], vec![0.0f32; count], 0.0f64);
         for (beam, found) in stable.iter().enumerate() {
             let Some((scale, fit)) = found else { continue };
             let Some(curve) = fit.evaluator() else { continue };
@@ -234,15 +318,78 @@ fn modulate(
                     if let Some(p) = pixel.as_ref().filter(|_| *value > t2 && *value < t1 && !held_out(beam, i)) {
                         let expected = scale[channel] * curve.value(norm(sub(p.at, mesh.beams[beam].at)), 0.0);
                         let texel = texels.index(p.face, p.uv);
-                        sums[texel] += (f64::from(*value) / expected) as f32;
+                        let ln = (f64::from(*value) / expected).ln();
+                        sums[texel] += ln as f32;
                         counts[texel] += 1.0;
+                        squares += ln * ln;
                     }
                 }
             }
         }
-        sums.iter_mut().zip(&counts).for_each(|(s, n)| *s = if *n > 0.0 { *s / n } else { 1.0 });
+        shrink(&mut sums, &counts, squares);
         model.texture.push(sums);
         model.texture_samples.push(counts);
     }
     Ok(())
+}
+
+/// From sums of logarithms to factors; `squares` is the sum of all squares.
+fn shrink(sums: &mut [f32], counts: &[f32], squares: f64) {
+    let seen = || sums.iter().zip(counts).filter(|s| *s.1 > 0.0).map(|(s, n)| (f64::from(*s), f64::from(*n)));
+    let (texels, samples) = seen().fold((0.0, 0.0), |(t, n), s| (t + 1.0, n + s.1));
+    let of_means: f64 = seen().map(|(s, n)| s * s / n).sum();
+    let within = if samples > texels { ((squares - of_means) / (samples - texels)).max(0.0) } else { squares };
+    let between = (of_means - texels * within) / samples.max(1.0);
+    for (sum, n) in sums.iter_mut().zip(counts) {
+        let factor = if *n > 0.0 && between > 0.0 { 1.0 / (f64::from(*n) + within / between) } else { 0.0 };
+        *sum = (f64::from(*sum) * factor).exp() as f32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_modulation_is_drawn_to_one_where_it_is_noise() {
+        // 2000 texels of 4 samples: of deviation `between` from texel to texel and 1 within.
+        let check = |between: f64| {
+            let (mut rng, mut error) = (Pcg32::new(4, 4), [0.0f64; 2]);
+            let truth: Vec<f64> = (0..2000).map(|_| between * rng.next_normal()).collect();
+            let (mut sums, mut squares) = (Vec::new(), 0.0);
+            for t in &truth {
+                let samples: Vec<f64> = (0..4).map(|_| t + rng.next_normal()).collect();
+                sums.push(samples.iter().sum::<f64>() as f32);
+                squares += samples.iter().map(|s| s * s).sum::<f64>();
+            }
+            let plain: Vec<f64> = sums.iter().map(|s| f64::from(*s) / 4.0).collect();
+            shrink(&mut sums, &[4.0; 2000], squares);
+            for (i, t) in truth.iter().enumerate() {
+                error[0] += (f64::from(sums[i]).ln() - t).powi(2) / 2000.0;
+                error[1] += (plain[i] - t).powi(2) / 2000.0;
+            }
+            // The least mean square error: 1/(n/σ_w² + 1/σ_b²).
+            let least = if between > 0.0 { 1.0 / (4.0 + between.powi(-2)) } else { 0.0 };
+            assert!(error[0] < 1.05 * least + 0.01 && error[0] < error[1], "{between}: {error:?}, {least}");
+        };
+        [0.0, 0.3, 1.0].into_iter().for_each(check);
+    }
+
+    #[test]
+    fn fall_offs_integrate_over_the_object_not_a_plane() {
+        // A rod of 1 mm × 1 mm × 40 mm: a slow fall-off sends back what its sides can, 4 ∫ e^{−r/20} dr on both sides.
+        let corner = |i: u32| {
+            [
+                if i & 1 > 0 { 1.0f32 } else { 0.0 },
+                if i & 2 > 0 { 1.0 } else { 0.0 },
+                if i & 4 > 0 { 40.0 } else { 0.0 },
+            ]
+        };
+        let quads = [[0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let indices = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+        let rod = TriMesh { positions: (0..8).map(corner).collect(), indices, ..TriMesh::default() };
+        let total = Spread::new(&rod).integral([0.5, 0.0, 20.0], |r| 0.01 * (-r / 20.0).exp());
+        let expected = 0.01 * 4.0 * 2.0 * 20.0 * (1.0 - (-1.0f64).exp());
+        assert!((total / expected - 1.0).abs() < 0.05, "{total} {expected}");
+    }
 }

@@ -57,6 +57,7 @@ impl Loader {
             "plastic" => Model::Plastic(self.plastic(object)?),
             "roughplastic" => self.rough_plastic(object)?,
             "principled" => self.principled(object)?,
+            "subsurface" => self.subsurface_bsdf(object)?,
             "phong" | "ward" => self.phong_or_ward(object)?,
             "twosided" => {
                 let front = self.nested(object)?;
@@ -101,7 +102,7 @@ impl Loader {
     }
 
     /// A reflectance: a colour above 1 would make light.
-    fn albedo(&mut self, object: &Object, name: &str, default: f32) -> Result<TextureId> {
+    pub(super) fn albedo(&mut self, object: &Object, name: &str, default: f32) -> Result<TextureId> {
         let id = self.texture(object, name, default, FACTOR)?;
         match self.builder.scene.constant(id) {
             Some(rgb) if rgb.max_element() > 1.0 => {
@@ -114,7 +115,7 @@ impl Loader {
     }
 
     /// An index of refraction, as a number or a name.
-    fn ior(&mut self, object: &Object, name: &str, default: f32) -> Result<f32> {
+    pub(super) fn ior(&mut self, object: &Object, name: &str, default: f32) -> Result<f32> {
         let Some(property) = object.property(name) else { return Ok(default) };
         let place = &property.place;
         let ior = match &property.value {
@@ -166,7 +167,7 @@ impl Loader {
         Ok(Conductor { eta: relative(eta)?, k: relative(k)?, specular_reflectance })
     }
 
-    fn distribution(&mut self, object: &Object) -> Result<Distribution> {
+    pub(super) fn distribution(&mut self, object: &Object) -> Result<Distribution> {
         Ok(match object.text("distribution")? {
             None | Some("beckmann") => Distribution::Beckmann,
             Some("ggx") => Distribution::Ggx,

@@ -11,6 +11,7 @@ mod light;
 mod object;
 mod properties;
 mod shape;
+mod subsurface;
 mod texture;
 mod tree;
 mod volume;

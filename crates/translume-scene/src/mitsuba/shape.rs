@@ -128,8 +128,17 @@ impl Loader {
             }
             None => None,
         };
-        let material = match self.child_of_class(object, "bsdf")? {
-            Some(bsdf) => self.bsdf(&bsdf)?,
+        let bsdf = self.child_of_class(object, "bsdf")?.map(|bsdf| self.bsdf(&bsdf)).transpose()?;
+        let material = match self.child_of_class(object, "subsurface")? {
+            Some(under) => {
+                let made = self.subsurface_of_shape(&under, bsdf);
+                let gray = self.builder.gray(0.5);
+                Some(self.skippable(made, || gray)?)
+            }
+            None => bsdf,
+        };
+        let material = match material {
+            Some(material) => material,
             None if radiance.is_some() => self.builder.gray(0.0),
             None if self.is_old() && (interior.is_some() || exterior.is_some()) => {
                 self.builder.material("", crate::material::Model::Null)

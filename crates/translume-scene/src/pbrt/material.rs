@@ -4,11 +4,13 @@ use super::Loader;
 use super::lexer::{self, Place, Values};
 use super::parameters::Parameters;
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, Plastic, Roughness};
+use crate::material::{Conductor, Dielectric, Model, Plastic, Roughness, Subsurface};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use crate::texture::{Bitmap, Channel, Checkerboard, Filter, Texture, Wrap};
 use glam::{DAffine2, DVec2};
+use std::sync::Arc;
+use translume_bxdf::homogeneous::{Diffusion, Homogeneous, measured_by_name};
 use translume_bxdf::{Distribution, Rgb, metal_by_name};
 
 const FACTOR: Quantity = Quantity::Factor;
@@ -31,6 +33,7 @@ impl Loader {
             "thindielectric" => (Model::ThinDielectric(self.glass(p)?), false),
             "coateddiffuse" => (self.coated(p)?, true),
             "mix" => (self.mix(p)?, false),
+            "subsurface" => (self.subsurface(p)?, false),
             _ => return Err(p.place.unsupported(format!("material {kind:?} is not supported"))),
         };
         let mut id = self.builder.material(name, model);
@@ -148,6 +151,56 @@ impl Loader {
             return Err(p.place.unsupported("a roughness texture on \"coateddiffuse\""));
         };
         Ok(Model::RoughPlastic { plastic, distribution, alpha: (u.x * v.x).sqrt() })
+    }
+
+    /// pbrt's own numbers are a photon beam diffusion; here it is the dipole for the same coefficients, per mm times `scale`.
+    fn subsurface(&mut self, p: &Parameters) -> Result<Model> {
+        let invalid = |what: String| p.place.invalid(what);
+        let scale = p.number("scale", 1.0)? as f32;
+        let isotropy = 1.0 - p.number("g", 0.0)? as f32;
+        if p.texture("reflectance").or(p.texture("sigma_a")).or(p.texture("sigma_s")).or(p.texture("mfp")).is_some() {
+            return Err(p.place.unsupported("textures of a subsurface material"));
+        }
+        let color = |name: &str| p.color(name, FACTOR);
+        let (reflectance, path) = (color("reflectance")?, color("mfp")?);
+        let coefficients = (color("sigma_s")?, color("sigma_a")?);
+        let eta = p.color("eta", FACTOR)?.map(|eta| eta.element_sum() / 3.0);
+        let (model, eta) = match (p.text("name")?, reflectance, coefficients) {
+            (Some(name), ..) => {
+                let ([s, a], _) = measured_by_name(name).ok_or_else(|| {
+                    invalid(format!("the translucent material {name:?} is not known; give sigma_a and sigma_s"))
+                })?;
+                let eta = eta.unwrap_or(1.33);
+                (Homogeneous::new(Diffusion::Dipole, s * scale, a * scale, eta), eta)
+            }
+            (None, Some(r), _) => {
+                let (path, eta) = (path.unwrap_or(Rgb::ONE) / scale, eta.unwrap_or(1.33));
+                (Homogeneous::from_reflectance(Diffusion::Dipole, r, path, eta), eta)
+            }
+            (None, None, (s, a)) => {
+                let (s, a) = (s.unwrap_or(Rgb::new(2.55, 3.21, 3.77)), a.unwrap_or(Rgb::new(0.0011, 0.0024, 0.014)));
+                let eta = eta.unwrap_or(1.33);
+                (Homogeneous::new(Diffusion::Dipole, s * isotropy * scale, a * scale, eta), eta)
+            }
+        };
+        let model =
+            model.ok_or_else(|| invalid("the coefficients of a subsurface are no scattering material".into()))?;
+        let roughness = match self.roughness(p)? {
+            None => None,
+            Some(Roughness { distribution, alpha_u, alpha_v }) => {
+                let alphas = self.builder.scene.constant(alpha_u).zip(self.builder.scene.constant(alpha_v));
+                let (u, v) = alphas.ok_or_else(|| p.place.unsupported("a roughness texture on \"subsurface\""))?;
+                Some((distribution, (u.x * v.x).sqrt()))
+            }
+        };
+        Ok(Model::Subsurface(Box::new(Subsurface {
+            model: Arc::new(model),
+            mm_per_unit: 1.0,
+            in_object_space: false,
+            eta,
+            roughness,
+            specular_reflectance: self.builder.constant(Rgb::ONE),
+        })))
     }
 
     fn mix(&mut self, p: &Parameters) -> Result<Model> {

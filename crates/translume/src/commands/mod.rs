@@ -46,6 +46,12 @@ pub(crate) enum Verb {
     Man(man::Args),
 }
 
+/// How scenes are read: measured translucent objects too.
+fn load_options(lenient: bool, defines: Vec<(String, String)>) -> translume_scene::LoadOptions {
+    let load = |path: &std::path::Path| translume_scatter::material::load_material(path).map_err(|e| e.to_string());
+    translume_scene::LoadOptions { lenient, defines, bssrdf_loader: Some(load) }
+}
+
 impl Verb {
     /// Does it.
     pub(crate) fn run(self, ctx: &Context) -> anyhow::Result<()> {

@@ -16,8 +16,8 @@ use translume_render::film::{Aov, Film};
 use translume_render::integrator::{self, INTEGRATORS, Integrator, Settings};
 use translume_render::render::{Progress, Shot, Until};
 use translume_render::{World, fingerprint};
+use translume_scene::Scene;
 use translume_scene::sensor::Sensor;
-use translume_scene::{LoadOptions, Scene};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -159,7 +159,7 @@ pub(super) fn parse_define(text: &str) -> Result<(String, String), String> {
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     check_outputs(&args)?;
     let begun = Instant::now();
-    let options = LoadOptions { lenient: args.lenient, defines: args.set.clone() };
+    let options = super::load_options(args.lenient, args.set.clone());
     let scene = Arc::new(translume_scene::load(&args.scene, &options)?);
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     let world = World::new(scene.clone()).with_context(|| args.scene.display().to_string())?;

@@ -9,7 +9,7 @@ use translume_scene::emitter::Emitter;
 use translume_scene::material::Model;
 use translume_scene::sensor::{Projection, Sensor};
 use translume_scene::texture::Texture;
-use translume_scene::{Geometry, LoadOptions, Scene};
+use translume_scene::{Geometry, Scene};
 
 const INFO_EXAMPLES: &str = "\
 Examples:
@@ -54,7 +54,7 @@ fn definition(text: &str) -> Result<(String, String), String> {
 
 pub(crate) fn run(args: Args, ctx: &Context) -> Result<()> {
     let Verb::Info(args) = args.verb;
-    let options = LoadOptions { lenient: args.lenient, defines: args.define };
+    let options = super::load_options(args.lenient, args.define);
     let scene = translume_scene::load(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     ctx.text(text(&scene).trim_end())?;
@@ -95,6 +95,7 @@ fn material_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
         Model::Plastic(_) => "plastic",
         Model::RoughPlastic { .. } => "rough plastic",
         Model::Principled(_) => "principled",
+        Model::Subsurface(_) => "subsurface",
         Model::TwoSided { .. } => "two-sided",
         Model::Mask { .. } => "mask",
         Model::BumpMap { .. } => "bump map",

@@ -50,7 +50,7 @@ use weight::{Way, Weighing};
 /// See the module.
 pub struct GKernel {
     settings: Settings,
-    /// Light paths of a step; 0: half as many as pixels, at least [`FEWEST_PATHS`].
+    /// Light paths of a step; 0: a quarter as many as pixels, at least [`FEWEST_PATHS`].
     light_paths: u32,
     /// Camera paths of a pixel in each step.
     eye_paths: u64,
@@ -66,11 +66,17 @@ pub struct GKernel {
     counts: Counts,
 }
 
+/// Unoccluded links that a camera path gets unless the user says otherwise.
+const LINKS: f32 = 5.0;
+
+/// The paper's M, of each vertex.
+const PRINTED_LINKS: f32 = 10.0;
+
 /// Most trial links over the unoccluded links that are wanted.
 const MOST_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
-const FEWEST_PATHS: u32 = 10_000;
+const FEWEST_PATHS: u32 = 5_000;
 const MOST_PATHS: u32 = 1_000_000;
 
 /// Radius of photons that are merged, over the scene's.
@@ -123,12 +129,18 @@ impl GKernel {
     pub fn new(settings: Settings, options: &Options) -> Result<Self> {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
+        let method = Method::new(options)?;
+        let links = match (options.number("links", 0..=1000)?, method.target) {
+            (0, true) => LINKS,
+            (0, false) => PRINTED_LINKS,
+            (n, _) => n as f32,
+        };
         Ok(Self {
             settings,
             light_paths,
             eye_paths,
-            links: options.number("links", 1..=1000)? as f32,
-            method: Method::new(options)?,
+            links,
+            method,
             pilot: OnceLock::new(),
             outlook: Mutex::default(),
             kept: Mutex::default(),
@@ -161,7 +173,7 @@ impl GKernel {
 
     fn light_paths(&self, shot: &Shot) -> u32 {
         let [w, h] = shot.size();
-        if self.light_paths > 0 { self.light_paths } else { (w * h / 2).clamp(FEWEST_PATHS, MOST_PATHS) }
+        if self.light_paths > 0 { self.light_paths } else { (w * h / 4).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
     fn request<'a>(

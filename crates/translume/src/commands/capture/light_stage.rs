@@ -15,7 +15,7 @@ use translume_render::light_stage::{self, Lamps, Params, Pictures};
 use translume_render::render::Shot;
 use translume_render::{World, fingerprint};
 use translume_scene::sensor::Sensor;
-use translume_scene::{LoadOptions, Scene, glam::Vec3};
+use translume_scene::{Scene, glam::Vec3};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -98,7 +98,7 @@ fn parse_clamp(text: &str) -> Result<f32, String> {
 }
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    let options = LoadOptions { lenient: args.lenient, defines: args.set.clone() };
+    let options = crate::commands::load_options(args.lenient, args.set.clone());
     let scene = translume_scene::load(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     let (scene, put_out) = light_stage::unlit(&scene);
