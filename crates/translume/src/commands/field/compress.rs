@@ -20,7 +20,7 @@ Examples:
     translume field compress dome/ -o statue.glb --chroma 0.5
 
   A BTF of the Bonn database, directions to light and camera in the names:
-    translume field compress cloth/ -o cloth.glb --names '{*} tl{theta} pl{phi} tv{vtheta} pv{vphi}.jpg'
+    translume field compress cloth/ -o cloth.glb --names {*}_tl{theta}_pl{phi}_tv{vtheta}_pv{vphi}.jpg
 
   The method of the thesis, with 8 terms:
     translume field compress dome/ -o statue.glb --model log-pca --terms 8
