@@ -17,7 +17,8 @@ fn ball(path: &Path) {
     let n = 8u32;
     let mut text = String::from("v 0 0 4\n");
     for (j, i) in (1..n).flat_map(|j| (0..2 * n).map(move |i| (j, i))) {
-        let (theta, phi) = (f64::from(j) / f64::from(n) * 3.141_592_65, f64::from(i) / f64::from(n) * 3.141_592_65);
+        let step = std::f64::consts::PI / f64::from(n);
+        let (theta, phi) = (f64::from(j) * step, f64::from(i) * step);
         let (x, y, z) = (theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
         text += &format!("v {} {} {}\n", 4.0 * x, 4.0 * y, 4.0 * z);
     }

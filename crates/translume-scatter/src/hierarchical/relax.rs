@@ -193,7 +193,7 @@ mod tests {
             let (x, y) = ((i % n) as f32 / 10.0, (i / n) as f32 / 10.0);
             [x * x - y * y, x * y, 1.0]
         };
-        let border = |i: u32| i % n == 0 || i % n == n - 1 || i / n == 0 || i / n == n - 1;
+        let border = |i: u32| i.is_multiple_of(n) || i % n == n - 1 || i / n == 0 || i / n == n - 1;
         let known: Vec<Known> = (0..n * n)
             .map(|i| {
                 let v = f(i);

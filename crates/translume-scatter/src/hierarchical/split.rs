@@ -78,7 +78,7 @@ impl Records {
                 [0, 1, 2].map(|i| s[i] + f64::from(v[i]))
             });
             let mean = sum.map(|s| (s / measured.len() as f64) as f32);
-            // Sure ones pull ten times as much as their neighbours.
+            // Single spots are noisy: weak, so that neighbouring spots are averaged over about their spacing.
             let known = |c: &Option<Candidate>| {
                 c.as_ref().map_or([0.0; 4], |c| {
                     let [a, b, d] = of(c);

@@ -177,7 +177,8 @@ impl PlanarMaterial {
             return Err(Error::invalid(path, "no lit point has a fall-off"));
         }
         points.iter_mut().for_each(|p| widen(&mut p.gammas, slowest));
-        let view = |(camera, (alpha, samples)): (&Camera, (&Vec<Vec<f32>>, &Vec<Vec<f32>>))| View {
+        type Planes = Vec<Vec<f32>>;
+        let view = |(camera, (alpha, samples)): (&Camera, (&Planes, &Planes))| View {
             camera: camera.clone(),
             alpha: (0..alpha[0].len())
                 .map(|i| (Rgb::from_array(rgb.map(|c| alpha[c][i])), rgb.iter().all(|&c| samples[c][i] > 0.0)))

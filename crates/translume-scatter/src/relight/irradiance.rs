@@ -281,9 +281,9 @@ mod tests {
         let (mut left, mut right) = (Vec3::ZERO, Vec3::ZERO);
         for (t, p) in atlas.texels.iter().zip(&power.texels) {
             if t.at.y < -2.0 {
-                left += *p
+                left += *p;
             } else if t.at.y > 2.0 {
-                right += *p
+                right += *p;
             }
         }
         assert!(left.x > 0.0 && left.y == 0.0 && right.y > 0.0 && right.x == 0.0, "{left} {right}");
