@@ -177,14 +177,13 @@ impl PlanarMaterial {
             return Err(Error::invalid(path, "no lit point has a fall-off"));
         }
         points.iter_mut().for_each(|p| widen(&mut p.gammas, slowest));
-        let view = |(camera, (alpha, samples)): (&Camera, (&Vec<Vec<f32>>, &Vec<Vec<f32>>))| View {
-            camera: camera.clone(),
-            alpha: (0..alpha[0].len())
-                .map(|i| (Rgb::from_array(rgb.map(|c| alpha[c][i])), rgb.iter().all(|&c| samples[c][i] > 0.0)))
-                .collect(),
+        let view = |(view, camera): (usize, &Camera)| {
+            let (alpha, samples) = (&model.texture[view], &model.texture_samples[view]);
+            let pixel =
+                |i: usize| (Rgb::from_array(rgb.map(|c| alpha[c][i])), rgb.iter().all(|&c| samples[c][i] > 0.0));
+            View { camera: camera.clone(), alpha: (0..alpha[0].len()).map(pixel).collect() }
         };
-        let textures = model.texture.iter().zip(&model.texture_samples);
-        let views: Vec<View> = head.cameras.iter().zip(textures).map(view).collect();
+        let views: Vec<View> = head.cameras.iter().enumerate().map(view).collect();
         let brightest = views.iter().flat_map(|v| &v.alpha).map(|a| a.0.max_element()).fold(1.0, f32::max);
         let envelope = Envelope::new(|r| {
             let value =
