@@ -4,6 +4,8 @@ Equal time: on the floors of `floor.py` every method renders for the same second
 do not count); relMSE = mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over pixels and channels. The reference r is the mean of
 two long renders by `path` with seeds of their own; what they differ by tells its noise, which is taken out of each relMSE.
 
+Parts: what goes beyond the paper, each alone added to the method as printed, and each alone left out of the default.
+
 Bias: on four small scenes the mean of a patch against `path`, in percent, with the standard error.
 """
 import argparse, csv, json, os, subprocess, sys, tempfile, time
@@ -15,6 +17,9 @@ BINARY = os.path.join(os.environ.get("CARGO_TARGET_DIR", "target"), "release", "
 RESULTS = os.path.join("benches", "results")
 METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "photonmap": ["--integrator", "photonmap"],
            "gkernel": ["--integrator", "gkernel"], "gkernel, printed": ["--integrator", "gkernel", "-O", "printed=true"]}
+UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
+PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
+         "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false")}
 
 
 def read(path):
@@ -59,6 +64,28 @@ def rel_mse(picture, reference, noise=0.0):
     return float((((picture - reference) ** 2 - noise) * weight).mean())
 
 
+def two_halves(scene, a):
+    """The reference, and what its noise adds to squared errors."""
+    halves = [render(scene, ["--integrator", "path", "--time", f"{a.reference}s"], a.size, 1000 + a.seed * 2 + i)[0] for i in (0, 1)]
+    return (halves[0] + halves[1]) / 2, (halves[0] - halves[1]) ** 2 / 4
+
+
+def parts(a):
+    """Rows of: part, relMSE of the printed method with it, of the default without it; the two themselves first."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, _ = floor(folder, "shut", a.seed, False)
+        reference, noise = two_halves(scene, a)
+        def error(*options):
+            arguments = [word for o in options for word in ("-O", o)]
+            picture, _ = render(scene, ["--integrator", "gkernel", "--time", f"{a.parts}s", *arguments], a.size, a.seed)
+            print(f"  parts, {' '.join(options) or 'all'}: {rel_mse(picture, reference, noise):.4g}", flush=True)
+            return rel_mse(picture, reference, noise)
+        rows = [("none / all", error("printed=true"), error())]
+        for part, (on, off) in PARTS.items():
+            rows.append((part, error("printed=true", f"{part}={on}"), error(f"{part}={off}")))
+        return rows + [("all, unbiased", None, error("unbiased=true"))]
+
+
 def equal_time(a):
     rows, counts = [], {}
     names = [(setting, False) for setting in a.settings.split(",") if setting] + [("shut", True)] * a.glossy
@@ -67,8 +94,7 @@ def equal_time(a):
             scene, facts = floor(folder, setting, a.seed, glossy)
             title = f"{setting}{', glossy' if glossy else ''}"
             print(f"{title}: {facts}", flush=True)
-            halves = [render(scene, ["--integrator", "path", "--time", f"{a.reference}s"], a.size, 1000 + a.seed * 2 + i)[0] for i in (0, 1)]
-            reference, noise = (halves[0] + halves[1]) / 2, (halves[0] - halves[1]) ** 2 / 4
+            reference, noise = two_halves(scene, a)
             print(f"  reference: relMSE {rel_mse(reference, reference, -noise):.3g}", flush=True)
             for seconds in a.seconds:
                 for method, options in METHODS.items():
@@ -103,7 +129,7 @@ BIAS = {  # scene, where to look
 
 
 def bias(samples, seeds):
-    methods = {k: v for k, v in METHODS.items() if k not in ("path", "bdpt")}
+    methods = {k: v for k, v in (METHODS | UNBIASED).items() if k not in ("path", "bdpt")}
     rows = []
     for name, (shapes, (x, y)) in BIAS.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -159,9 +185,11 @@ def main():
     p.add_argument("--size", type=size, default=(512, 384))
     p.add_argument("--seed", type=int, default=1, help="of the floor and of the methods")
     p.add_argument("--bias", type=int, default=64, metavar="SPP", help="samples for the bias table; 0: none")
+    p.add_argument("--parts", type=float, default=20, metavar="SECONDS", help="of each row of the table of parts; 0: none")
     p.add_argument("--dry", action="store_true", help="write no results")
     a = p.parse_args()
     rows, counts = equal_time(a)
+    partly = parts(a) if a.parts else []
     biased = bias(a.bias, 8) if a.bias else []
     lines = ["# The generalized kernel method beside its rivals", "",
              f"relMSE after equal time at {a.size[0]} × {a.size[1]}, {os.cpu_count()} threads, floor of seed {a.seed} (`benches/gkernel/floor.py`), against",
@@ -172,6 +200,9 @@ def main():
         lines += ["", "What gkernel did in its longest run: " + "; ".join(
             f"doors {k}: h {c['h']:.2g}, {c['steps']} steps, {c['candidates_per_eye_vertex']:.1f} candidates, {c['requested_per_eye_vertex']:.1f} requested and "
             f"{c['unoccluded_per_eye_vertex']:.1f} unoccluded links per eye vertex, visibility {c['mean_visibility']:.2f}" for k, c in counts.items()) + "."]
+    if partly:
+        lines += ["", f"Parts, relMSE after {a.parts:g} s, doors shut:", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
+        lines += [f"| {name} | {'-' if with_it is None else f'{with_it:.3g}'} | {without:.3g} |" for name, with_it, without in partly]
     if biased:
         lines += ["", "Bias of a patch's mean against `path`, in percent, with its standard error:", "", "| scene | method | bias | error |", "| --- | --- | --- | --- |"]
         lines += [f"| {s} | {m} | {b:+.2f} | {e:.2f} |" for s, m, b, e in biased]

@@ -14,22 +14,32 @@ fn rows() -> Vec<(&'static str, Params)> {
     let layers = |k| Params { rate: Rate::Terms(k), ..Params::default() };
     let pca = |model, k, codec| Params { model, rate: Rate::Terms(k), codec: Some(codec), ..Params::default() };
     let log = |delta| Some(Domain::Log { delta });
+    let root = |delta| Some(Domain::Root { delta });
     let fixed = |model, codec| Params { model, codec: Some(codec), ..Params::default() };
     vec![
         ("thesis: log PCA, BC1, δ 0.001", pca(Model::LogPca, 16, Codec::Bc1)),
         ("log PCA, BC1, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 16, Codec::Bc1) }),
-        ("linear PCA, BC1", pca(Model::LinearPca, 16, Codec::Bc1)),
         ("log PCA, BC7, half the terms, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 8, Codec::Bc7) }),
+        ("log PCA, BC6H, half the terms, δ 0.01", Params { domain: log(1e-2), ..pca(Model::LogPca, 8, Codec::Bc6h) }),
+        ("linear PCA, BC1", pca(Model::LinearPca, 16, Codec::Bc1)),
+        ("linear PCA, BC6H, half the terms", pca(Model::LinearPca, 8, Codec::Bc6h)),
         ("layers, open loop", Params { closed_loop: false, ..layers(16) }),
         ("layers (default)", layers(16)),
         ("layers, the same everywhere", Params { tiling: Tiling::Whole, ..layers(16) }),
         ("layers, background masked", Params { tiling: Tiling::Mask, ..layers(16) }),
-        ("layers, δ 0.001", Params { domain: log(1e-3), ..layers(16) }),
-        ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
+        ("layers, log, δ 0.01", Params { domain: log(1e-2), ..layers(16) }),
+        ("layers, log, δ 0.001", Params { domain: log(1e-3), ..layers(16) }),
+        ("layers, root, δ 0.1", Params { domain: root(0.1), ..layers(16) }),
+        ("layers, root, δ 1", Params { domain: root(1.0), ..layers(16) }),
         ("layers, PU21", Params { domain: Some(Domain::Pu21), ..layers(16) }),
+        ("layers, display curve", Params { domain: Some(Domain::Display), ..layers(16) }),
+        ("layers, colour counts half", Params { chroma: 0.5, ..layers(16) }),
+        ("layers, colour counts twice", Params { chroma: 2.0, ..layers(16) }),
+        ("layers, the last plane in 16 bits", Params { residual: 1, ..layers(16) }),
         ("layers, BC4 only", Params { codec: Some(Codec::Bc4), ..layers(16) }),
         ("layers, BC1 only", Params { codec: Some(Codec::Bc1), ..layers(16) }),
         ("layers, BC7, half the layers", Params { codec: Some(Codec::Bc7), ..layers(8) }),
+        ("layers, BC6H, half the layers", Params { codec: Some(Codec::Bc6h), ..layers(8) }),
         ("layers, R8, half the layers", Params { codec: Some(Codec::R8), ..layers(8) }),
         ("PTM, RGB8", fixed(Model::Ptm, Codec::Rgb8)),
         ("HSH, RGB8", fixed(Model::Hsh, Codec::Rgb8)),
@@ -63,8 +73,8 @@ fn make(dir: &Path, params: &Params) -> anyhow::Result<(Field, Stack, f64)> {
 }
 
 fn table(dir: &Path, names: &[&str]) -> anyhow::Result<()> {
-    println!("| method | bytes a texel | RMS on a display | PSNR, dB | RMS of ln | seconds |");
-    println!("|---|--:|--:|--:|--:|--:|");
+    println!("| method | bytes a texel | RMS on a display | PSNR, dB | FLIP | RMS of ln | seconds |");
+    println!("|---|--:|--:|--:|--:|--:|--:|");
     for (name, params) in rows().into_iter().filter(|(n, _)| names.is_empty() || names.iter().any(|x| n.contains(x))) {
         let (field, mut stack, secs) = match make(dir, &params) {
             Ok(made) => made,
@@ -76,14 +86,31 @@ fn table(dir: &Path, names: &[&str]) -> anyhow::Result<()> {
         let errors = measure::compare(&field, &mut stack, &|| ())?;
         let mean = |f: &dyn Fn(&measure::PictureError) -> f64| errors.iter().map(f).sum::<f64>() / errors.len() as f64;
         println!(
-            "| {name} | {:.2} | {:.5} | {:.2} | {:.4} | {secs:.1} |",
+            "| {name} | {:.2} | {:.5} | {:.2} | {:.4} | {:.4} | {secs:.1} |",
             field.texture_bytes() as f64 / (field.width * field.height) as f64,
             mean(&|e| e.rms * e.rms).sqrt(),
             mean(&|e| e.psnr),
+            flip(&field, &stack)?,
             mean(&|e| e.log_rms * e.log_rms).sqrt()
         );
     }
     Ok(())
+}
+
+/// Mean FLIP on a display of eight pictures of the stack, as a viewer at the usual distance sees it.
+fn flip(field: &Field, stack: &Stack) -> anyhow::Result<f64> {
+    let relighter = Relighter::new(field)?;
+    let n = stack.shots.len();
+    let picked: Vec<usize> = (0..n.min(8)).map(|i| i * n / n.min(8)).collect();
+    let ppd = translume_image::compare::CompareParams::default().ppd;
+    let mut sum = 0.0;
+    for &i in &picked {
+        let mix = field.mix_of_light(i).unwrap_or_else(|| relighter.mix_of(&stack.shots[i]));
+        let shown = |v: Vec<f32>, white: f32| v.into_iter().map(|v| measure::shown(v / white)).collect::<Vec<f32>>();
+        let (truth, got) = (shown(stack.read(i)?, 1.0), shown(relighter.picture(&mix), field.white));
+        sum += translume_image::metrics::flip_ldr(&truth, &got, stack.width, ppd).mean() / picked.len() as f64;
+    }
+    Ok(sum)
 }
 
 /// Frames a second of relighting with 16 layers, with and without exp and tone map to 8 bits.
@@ -120,7 +147,7 @@ fn speed(dir: &Path) -> anyhow::Result<()> {
 fn cost(dir: &Path) -> anyhow::Result<()> {
     let (field, stack, secs) = make(dir, &Params::default())?;
     let file = dir.join("field.glb");
-    translume_field::file::write(&file, &field, "bench-field cost")?;
+    translume_field::file::write(&file, &field, "bench-field cost", None)?;
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).map_or("unknown", str::trim);
     println!(
@@ -181,8 +208,10 @@ fn held_out(dir: &Path) -> anyhow::Result<()> {
     for (name, params) in [
         ("layers (default)", Params::default()),
         ("layers, the thesis' Gaussian", Params { gaussian: Some(true), ..Params::default() }),
-        ("layers, δ 0.001", Params { domain: Some(Domain::Log { delta: 1e-3 }), ..Params::default() }),
-        ("layers, δ 0.1", Params { domain: Some(Domain::Log { delta: 0.1 }), ..Params::default() }),
+        ("layers, root, δ 0.1", Params { domain: Some(Domain::Root { delta: 0.1 }), ..Params::default() }),
+        ("layers, root, δ 1", Params { domain: Some(Domain::Root { delta: 1.0 }), ..Params::default() }),
+        ("layers, log, δ 0.01", Params { domain: Some(Domain::Log { delta: 1e-2 }), ..Params::default() }),
+        ("layers, log, δ 0.001", Params { domain: Some(Domain::Log { delta: 1e-3 }), ..Params::default() }),
         ("thesis: log PCA, BC1, Gaussian", Params { model: Model::LogPca, ..Params::default() }),
         ("PTM, RGB8", fixed(Model::Ptm)),
         ("HSH, RGB8", fixed(Model::Hsh)),

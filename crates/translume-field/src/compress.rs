@@ -5,19 +5,25 @@ use crate::basis::Basis;
 use crate::field::{Angular, Field, Model};
 use crate::file;
 use crate::layers::{self, Plan};
-use crate::matrix::Matrix;
+use crate::matrix::{self, Matrix};
 use crate::pca;
-use crate::sphere::Kernel;
+use crate::sphere::{Kernel, Point, points};
 use crate::stack::Stack;
 use crate::texture::{Codec, Texture};
 use crate::tiles::{self, Tiles, Tiling};
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
+use rayon::prelude::*;
 
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
+/// Most pictures of a stack: between more, the interpolation is not solved in reasonable time.
+const MOST_PICTURES: usize = 4096;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
+
+/// Layers of 4 bits a texel that one of 16 bits takes the place of.
+const RESIDUAL_LAYERS: usize = 4;
 
 /// Memory for principal planes beside the stack.
 const BESIDE: usize = 256 << 20;
@@ -41,6 +47,11 @@ pub struct Params {
     pub closed_loop: bool,
     /// How the layers of the default model are given to the parts of the picture.
     pub tiling: Tiling,
+    /// What an error of colour counts beside one of luminance, in the default model; 1: the same.
+    pub chroma: f32,
+    /// How many planes of 16 bits the default model has for what its other layers leave. Each takes the place of four of those; there
+    /// are no tiles then.
+    pub residual: usize,
     /// Bytes that the stack may take in memory; larger ones are read twice. Planes take at least 256 MiB more.
     pub memory: usize,
 }
@@ -69,6 +80,8 @@ impl Default for Params {
             randomised: false,
             closed_loop: true,
             tiling: Tiling::Auto,
+            chroma: 1.0,
+            residual: 0,
             memory: 1536 << 20,
         }
     }
@@ -135,10 +148,35 @@ impl Params {
 pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + Sync)) -> Result<Field> {
     let domain = params.domain().check()?;
     let terms = params.terms(stack)?;
+    if !(params.chroma > 0.0 && params.chroma.is_finite()) {
+        return Err(Error::Parameter(format!("a weight of {} for colour: it must be positive", params.chroma)));
+    }
+    if params.residual > 0 && !matches!(params.rate, Rate::Default | Rate::Terms(_)) {
+        return Err(Error::Parameter("planes of 16 bits go with a number of terms".into()));
+    }
+    if terms.is_some_and(|terms| terms <= RESIDUAL_LAYERS * params.residual) {
+        let what = format!(
+            "{} planes of 16 bits: they need more than {} terms",
+            params.residual,
+            RESIDUAL_LAYERS * params.residual
+        );
+        return Err(Error::Parameter(what));
+    }
     if params.model != Model::Layers && params.codecs().iter().any(|c| c.channels() != 3) {
-        return Err(Error::Parameter("this model needs layers of three channels: bc1, bc7 or rgb8".into()));
+        return Err(Error::Parameter("this model needs layers of three channels: bc1, bc6h, bc7 or rgb8".into()));
     }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
+    let views = stack.views();
+    if lights.len() > MOST_PICTURES {
+        let what =
+            format!("{} pictures: a field is made of at most {MOST_PICTURES}; take every second one", lights.len());
+        return Err(Error::Parameter(what));
+    }
+    if matches!(params.model, Model::Ptm | Model::Hsh) && !views.is_empty() {
+        return Err(Error::Parameter(
+            "PTM and HSH are functions of the light: pictures from several views need another model".into(),
+        ));
+    }
     let basis = match params.model {
         Model::Ptm => Some(Basis::Ptm),
         Model::Hsh => Some(Basis::Hsh),
@@ -150,7 +188,7 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
         return Err(Error::Parameter(what));
     }
     let matrix = Matrix::read(stack, domain, params.memory, &|| progress("reading"))?;
-    let mut job = Job { stack, params, domain, matrix, lights, progress };
+    let mut job = Job { stack, params, domain, matrix, lights, views, progress };
     let mut field = match (basis, terms) {
         (Some(basis), _) => job.polynomial(basis)?,
         (None, Some(terms)) => job.field_of(terms)?,
@@ -160,12 +198,19 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     Ok(field)
 }
 
+/// What a trial says: what is left in all, and layers by tile, unless all have all.
+struct Given {
+    left: f64,
+    counts: Option<Vec<u8>>,
+}
+
 struct Job<'a> {
     stack: &'a mut Stack,
     params: &'a Params,
     domain: Domain,
     matrix: Matrix,
     lights: Vec<[f32; 3]>,
+    views: Vec<[f32; 3]>,
     progress: &'a (dyn Fn(&str) + Sync),
 }
 
@@ -241,11 +286,15 @@ impl Job<'_> {
         }
     }
 
+    fn points(&self) -> Vec<Point> {
+        points(&self.lights, &self.views)
+    }
+
     fn kernel(&self, default: bool, factors: &DMatrix<f64>) -> Kernel {
         if self.params.gaussian.unwrap_or(default) {
-            Kernel::gaussian(&self.lights)
+            Kernel::gaussian(&self.points())
         } else {
-            Kernel::cross_validated(&self.lights, factors, self.domain)
+            Kernel::cross_validated(&self.points(), factors, self.domain)
         }
     }
 
@@ -260,17 +309,25 @@ impl Job<'_> {
         let (directions, _) = pca::randomised(&self.matrix, &means, planes, 1, step);
         let offset: Vec<f32> =
             directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
-        let planes = self.project(&directions, &offset)?;
+        let mut planes = self.project(&directions, &offset)?;
         if !matches!(self.params.rate, Rate::Psnr(_)) {
             self.matrix.release();
         }
         (self.progress)("encoding");
         let size = (self.stack.width, self.stack.height);
-        let codecs = layers::best_codecs(&planes, size, &codecs, terms, self.params.closed_loop)?;
-        let tiles = self.tiles(&planes, &codecs, terms)?;
-        let count = tiles.as_ref().map_or(terms, Tiles::most);
-        let plan = Plan { count, closed_loop: self.params.closed_loop, tiles: tiles.as_ref() };
-        let found = layers::encode(planes, size, &codecs, &plan, &mut |_| ())?;
+        let metric = self.metric(&directions)?;
+        if let Some(root) = &metric {
+            transform(&mut planes, size.0 * size.1, &root.map(|v| v as f32));
+        }
+        let coarse = terms - RESIDUAL_LAYERS * self.params.residual;
+        let (codecs, tiles) = self.plan(&planes, &codecs, coarse)?;
+        let count = tiles.as_ref().map_or(coarse, Tiles::most);
+        let Params { residual, closed_loop, .. } = *self.params;
+        let plan = Plan { count, residual, closed_loop, tiles: tiles.as_ref() };
+        let mut found = layers::encode(planes, size, &codecs, &plan, &mut |_| ())?;
+        if let Some(inverse) = metric.and_then(|root| root.try_inverse()) {
+            found.weights *= inverse;
+        }
         // Back from principal coordinates to lights and channels: (1 + layers) × (3 lights).
         let mut columns = found.weights.map(|w| w as f32) * directions.transpose();
         means.iter().enumerate().for_each(|(i, m)| columns[(0, i)] += m);
@@ -283,7 +340,8 @@ impl Job<'_> {
             (0..k).map(|i| f64::from(table[(l, 3 * i + j % 3)]) * root[(i, j / 3)]).sum()
         });
         let kernel = self.kernel(false, &factors);
-        let angular = Angular::Lights { colour: true, lights: self.lights.clone(), table, kernel };
+        let angular =
+            Angular::Lights { colour: true, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
         Ok(Field { tiles, ..self.field(found.textures, angular) })
     }
 
@@ -315,25 +373,67 @@ impl Job<'_> {
     fn may_tile(&self) -> bool {
         let (across, down) = Tiles::grid(self.stack.width, self.stack.height);
         let blocks = self.params.codecs().iter().all(|c| matches!(c, Codec::Bc1 | Codec::Bc4));
-        across * down >= 16 && blocks && self.params.closed_loop
+        across * down >= 16 && blocks && self.params.closed_loop && self.params.residual == 0
     }
 
-    /// How many layers each tile gets, for the bytes of `terms` layers everywhere; `None`: as many as all others.
-    fn tiles(&self, planes: &[f32], codecs: &[Codec], terms: usize) -> Result<Option<Tiles>> {
-        // What a trial must leave less of, for a file that is less simple.
-        const WORTH: f64 = 0.95;
-        if !self.may_tile() || self.params.tiling == Tiling::Whole {
+    /// What makes errors of colour weigh less, in principal coordinates: the lower root L of the metric, so that e L has the length that
+    /// e is to count. `None`: all count the same.
+    fn metric(&self, directions: &DMatrix<f32>) -> Result<Option<DMatrix<f64>>> {
+        let chroma = f64::from(self.params.chroma);
+        if chroma == 1.0 {
             return Ok(None);
         }
+        // By light: y yᵀ + w² (1 − y yᵀ), y the grey axis.
+        let (n, k) = (directions.nrows() / 3, directions.ncols());
+        let along = DMatrix::from_fn(n, k, |l, j| {
+            (0..3).map(|c| f64::from(directions[(3 * l + c, j)])).sum::<f64>() / 3f64.sqrt()
+        });
+        let all = directions.map(f64::from);
+        let grey = along.transpose() * &along;
+        let metric = all.transpose() * all * chroma.powi(2) + grey * (1.0 - chroma.powi(2));
+        let root = nalgebra::Cholesky::new(metric).map(|c| c.l());
+        root.map(Some).ok_or_else(|| Error::Parameter(format!("a weight of {chroma} for colour: it is too small")))
+    }
+
+    /// Which codecs to encode with, and how many layers each tile gets (`None`: all have all), for the bytes of `terms` layers everywhere:
+    /// whatever leaves least in a trial on a part of the picture.
+    fn plan(&self, planes: &[f32], codecs: &[Codec], terms: usize) -> Result<(Vec<Codec>, Option<Tiles>)> {
         let size = (self.stack.width, self.stack.height);
-        let most = (2 * terms).min(self.params.most(self.lights.len()));
+        if !self.may_tile() || self.params.tiling == Tiling::Whole {
+            return Ok((layers::best_codecs(planes, size, codecs, terms, self.params.closed_loop)?, None));
+        }
+        let mut best = (f64::INFINITY, codecs.to_vec());
+        let choices = layers::choices(codecs);
+        for choice in choices.iter().filter(|_| choices.len() > 1) {
+            let left = layers::left_in_tiles(planes, size, choice, self.most_in_a_tile(terms), layers::ENOUGH)?;
+            let given = self.give(&left, choice, terms);
+            if given.left < best.0 {
+                best = (given.left, choice.clone());
+            }
+        }
+        let codecs = best.1;
+        let left = layers::left_in_tiles(planes, size, &codecs, self.most_in_a_tile(terms), layers::ENOUGH_FOR_TILES)?;
+        let given = self.give(&left, &codecs, terms);
+        let (across, _) = Tiles::grid(size.0, size.1);
+        Ok((codecs, given.counts.map(|counts| Tiles { across, counts })))
+    }
+
+    /// Most layers of a tile, for the bytes of `terms` layers everywhere.
+    fn most_in_a_tile(&self, terms: usize) -> usize {
+        (2 * terms).min(self.params.most(self.lights.len()))
+    }
+
+    /// Gives layers to the tiles, of which `left` says what they would leave with 0, 1, … of them.
+    fn give(&self, left: &[Vec<f64>], codecs: &[Codec], terms: usize) -> Given {
+        // What a trial must leave less of, for a file that is less simple.
+        const WORTH: f64 = 0.95;
+        let size = (self.stack.width, self.stack.height);
+        let most = self.most_in_a_tile(terms);
         let mut bytes = terms * codecs[0].bytes(size.0, size.1);
         if let Rate::Bytes(_) = self.params.rate {
             // The bytes of the weights of more layers, and of rows of tiles that are not full.
             bytes = bytes.saturating_sub((most - terms) * (18 * self.lights.len() + 800) + 128 * 512);
         }
-        let left = layers::left_in_tiles(planes, size, codecs, most)?;
-        let (across, _) = Tiles::grid(size.0, size.1);
         let budget = bytes.saturating_sub(left[0].len()) / codecs[0].bytes(tiles::SIDE, tiles::SIDE);
         let counts = match self.params.tiling {
             Tiling::Mask => {
@@ -342,13 +442,17 @@ impl Job<'_> {
                 let each = (budget / lit).min(most).min(left.len() - 1) as u8;
                 left[0].iter().map(|e| if *e > floor { each } else { 0 }).collect()
             }
-            _ => tiles::choose(&left, budget),
+            _ => tiles::choose(left, budget),
         };
         let sum =
             |of: &dyn Fn(usize) -> usize| (0..counts.len()).map(|t| left[of(t).min(left.len() - 1)][t]).sum::<f64>();
-        let pays = sum(&|t| usize::from(counts[t])) < WORTH * sum(&|_| terms);
-        let wanted = pays || self.params.tiling != Tiling::Auto;
-        Ok((wanted && counts.iter().any(|c| *c > 0)).then_some(Tiles { across, counts }))
+        let (with, without) = (sum(&|t| usize::from(counts[t])), sum(&|_| terms));
+        let wanted = with < WORTH * without || self.params.tiling != Tiling::Auto;
+        if wanted && counts.iter().any(|c| *c > 0) {
+            Given { left: with, counts: Some(counts) }
+        } else {
+            Given { left: without, counts: None }
+        }
     }
 
     /// Eigenimages of three channels, σ u, and weights v [Menzel 2012, §4.2].
@@ -383,7 +487,8 @@ impl Job<'_> {
         (self.progress)("interpolating");
         let factors = vectors * products.map(f64::sqrt);
         let kernel = self.kernel(true, &factors);
-        let angular = Angular::Lights { colour: false, lights: self.lights.clone(), table, kernel };
+        let angular =
+            Angular::Lights { colour: false, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
         Ok(self.field(layers, angular))
     }
 
@@ -409,6 +514,16 @@ impl Job<'_> {
         rgb.map(|p| Texture::encode(self.params.codecs()[0], &p.chunks(pixels).collect::<Vec<_>>(), self.stack.width))
             .collect()
     }
+}
+
+/// Multiplies the rows (a texel, a value of each plane) by a square matrix.
+fn transform(planes: &mut [f32], pixels: usize, by: &DMatrix<f32>) {
+    let n = planes.len() / pixels;
+    matrix::pieces_of(planes, pixels, n).into_par_iter().for_each(|mut piece| {
+        let rows = DMatrix::from_fn(piece[0].len(), n, |i, j| piece[j][i]);
+        let product = rows * by;
+        piece.iter_mut().zip(product.column_iter()).for_each(|(p, c)| p.copy_from_slice(c.as_slice()));
+    });
 }
 
 /// L with LLᵀ = `matrix`, which is positive semi-definite up to rounding.

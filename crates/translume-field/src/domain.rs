@@ -1,9 +1,10 @@
-//! The scale on which a stack is taken apart: log light [Menzel 2012, §4.2], or linear light, or the display's curve.
+//! The scale on which a stack is taken apart: log light [Menzel 2012, §4.2], and what is measured beside it.
 //!
 //! A value is light divided by the stack's white, so that the offset δ and the scale of 16-bit floats mean the same for
 //! any source. δ is an offset against the noise floor: light far below it is noise, and the logarithm is nearly linear
-//! there. Deviation: the thesis calls δ "a very small number"; [`Domain::default`] has 1 % of white, because held-out
-//! lights and tone-mapped errors are better with it (`docs/field.md`).
+//! there. On a display that has a curve of infinite slope at black, steps that are even in light are coarse there: parts of a picture that
+//! should be black glow, and where they are stored with different numbers of layers the borders show. [`Domain::Root`], the default,
+//! takes the logarithm of the root of light: near black its steps are even on a display, in the light they are even in stops.
 
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -18,6 +19,11 @@ pub enum Domain {
         /// Offset as a share of white.
         delta: f32,
     },
+    /// ln(δ + √x).
+    Root {
+        /// Offset: a root of a share of white.
+        delta: f32,
+    },
     /// x.
     Linear,
     /// The sRGB curve of x, continued beyond 1 by its own formula.
@@ -28,7 +34,7 @@ pub enum Domain {
 
 impl Default for Domain {
     fn default() -> Self {
-        Self::Log { delta: 0.01 }
+        Self::Root { delta: 0.2 }
     }
 }
 
@@ -38,7 +44,7 @@ impl Domain {
 
     pub(crate) fn check(self) -> Result<Self> {
         match self {
-            Self::Log { delta } if !(delta > 0.0 && delta < 1e3) => {
+            Self::Log { delta } | Self::Root { delta } if !(delta > 0.0 && delta < 1e3) => {
                 Err(Error::Parameter(format!("an offset of {delta} in the logarithm: it must be positive")))
             }
             domain => Ok(domain),
@@ -50,6 +56,7 @@ impl Domain {
         let x = x.max(0.0);
         match self {
             Self::Log { delta } => (delta + x).ln(),
+            Self::Root { delta } => (delta + x.sqrt()).ln(),
             Self::Linear => x,
             Self::Display => translume_image::colour::linear_to_srgb(x),
             Self::Pu21 => (metrics::pu21_encode(100.0 * f64::from(x)) / 100.0) as f32,
@@ -60,6 +67,7 @@ impl Domain {
     pub fn values(self, light: &mut [f32]) {
         match self {
             Self::Log { delta } => light.iter_mut().for_each(|x| *x = ln(delta + x.max(0.0))),
+            Self::Root { delta } => light.iter_mut().for_each(|x| *x = ln(delta + x.max(0.0).sqrt())),
             domain => light.iter_mut().for_each(|x| *x = domain.value(*x)),
         }
     }
@@ -69,6 +77,10 @@ impl Domain {
     pub fn light(self, values: &mut [f32]) {
         match self {
             Self::Log { delta } => values.iter_mut().for_each(|v| *v = (exp(*v) - delta).max(0.0)),
+            Self::Root { delta } => values.iter_mut().for_each(|v| {
+                let root = (exp(*v) - delta).max(0.0);
+                *v = root * root;
+            }),
             Self::Linear => values.iter_mut().for_each(|v| *v = v.max(0.0)),
             Self::Display => {
                 values.iter_mut().for_each(|v| *v = translume_image::colour::srgb_to_linear(v.max(0.0)));
@@ -121,7 +133,8 @@ mod tests {
 
     #[test]
     fn light_comes_back_from_every_scale() {
-        for domain in [Domain::default(), Domain::THESIS, Domain::Linear, Domain::Display, Domain::Pu21] {
+        let log = Domain::Log { delta: 0.01 };
+        for domain in [Domain::default(), log, Domain::THESIS, Domain::Linear, Domain::Display, Domain::Pu21] {
             for x in [0.0f32, 1e-4, 0.02, 0.7, 1.0, 40.0] {
                 let mut v = [domain.value(x)];
                 domain.light(&mut v);
@@ -134,6 +147,21 @@ mod tests {
             }
             assert_eq!(domain.value(-1.0), domain.value(0.0));
         }
+    }
+
+    /// An error of the same size anywhere shows by about as much near black as at a tenth of white, and in stops by the same in the light.
+    #[test]
+    fn the_default_scale_is_even_on_a_display_near_black_and_in_stops_above() {
+        let moved = |domain: Domain, x: f32| {
+            let mut v = [domain.value(x) + 0.01];
+            domain.light(&mut v);
+            v[0]
+        };
+        let shows = |domain, x: f32| moved(domain, x).powf(1.0 / 2.2) - x.powf(1.0 / 2.2);
+        let ratio = |domain| shows(domain, 0.0) / shows(domain, 0.1);
+        assert!(ratio(Domain::default()) < 1.2 && ratio(Domain::Log { delta: 0.01 }) > 4.0);
+        let stops = |x: f32| (moved(Domain::default(), x) / x).log2();
+        assert!((stops(4e3) / stops(1e2) - 1.0).abs() < 0.05);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! 1, and so that an environment of radiance 1 all around shows it as 1 too.
 
 use crate::lights::normalised;
-use crate::sphere::spacing;
+use crate::sphere::{points, spacing};
 use translume_image::colour::Space;
 
 /// A direction and a colour; 1 is a light of the stack.
@@ -83,7 +83,11 @@ pub fn from_map(rgb: &[f32], (w, h): (usize, usize), lights: &[[f32; 3]]) -> Env
             }
         }
     }
-    let reach = 2.0 * spacing(lights);
+    // Each direction once: with several views, pictures share their lights.
+    let mut distinct = points(lights, &[]);
+    distinct.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    distinct.dedup();
+    let reach = 2.0 * spacing(&distinct);
     let within = |d: [f32; 3]| match lights {
         [] => d[2] > 0.0,
         _ => lights.iter().any(|l| (0..3).map(|c| (l[c] - d[c]).powi(2)).sum::<f32>() <= reach * reach),

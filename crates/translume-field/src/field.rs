@@ -40,6 +40,8 @@ pub enum Angular {
         colour: bool,
         /// Unit directions.
         lights: Vec<[f32; 3]>,
+        /// Unit directions to the camera, one for each light; none where all pictures have one view.
+        views: Vec<[f32; 3]>,
         /// Lights × columns.
         table: DMatrix<f32>,
         /// What is between the lights.
@@ -103,6 +105,14 @@ impl Field {
     pub fn lights(&self) -> &[[f32; 3]] {
         match &self.angular {
             Angular::Lights { lights, .. } => lights,
+            Angular::Basis(_) => &[],
+        }
+    }
+
+    /// The unit directions to the camera, one for each light, where pictures differ in that.
+    pub fn views(&self) -> &[[f32; 3]] {
+        match &self.angular {
+            Angular::Lights { views, .. } => views,
             Angular::Basis(_) => &[],
         }
     }

@@ -5,6 +5,7 @@ use crate::Relighter;
 use crate::basis::Basis;
 use crate::field::{Angular, Field, Model};
 use crate::ktx2;
+use crate::preview;
 use crate::sphere::Kernel;
 use crate::texture::{Codec, Texture};
 use crate::tiles::{self, Tiles};
@@ -28,6 +29,8 @@ struct Manifest {
     height: usize,
     domain: Domain,
     white: f32,
+    /// Buffer views of KTX2 textures.
+    textures: Vec<usize>,
     layers: Vec<LayerEntry>,
     #[serde(skip_serializing_if = "Option::is_none")]
     tiles: Option<TilesEntry>,
@@ -42,10 +45,10 @@ struct TilesEntry {
     counts_view: usize,
 }
 
-/// A layer: an image of the file, a layer of its array, and the range of each channel.
+/// A layer: a texture of the file, a layer of its array, and the range of each channel.
 #[derive(Serialize, Deserialize)]
 struct LayerEntry {
-    image: usize,
+    texture: usize,
     layer: usize,
     low: Vec<f32>,
     high: Vec<f32>,
@@ -63,6 +66,9 @@ enum Weights {
         count: usize,
         #[serde(rename = "directionsView")]
         directions_view: usize,
+        /// Unit directions to the camera, the same way, where pictures differ in that.
+        #[serde(rename = "viewsView", default, skip_serializing_if = "Option::is_none")]
+        views_view: Option<usize>,
         #[serde(rename = "weightsView")]
         weights_view: usize,
         bits: u32,
@@ -107,35 +113,45 @@ fn values(codes: &[u16], rows: usize, (low, high): (&[f32], &[f32]), bits: u32) 
 /// The number of a layer, and its blocks.
 type Numbered<'a> = (usize, &'a [u8]);
 
-/// Writes a field; it appears whole or not at all. `command` says how it was made.
+/// Writes a field; it appears whole or not at all. `command` says how it was made. The preview is left out where the file would
+/// be larger than `most` bytes.
 ///
 /// # Errors
 /// [`Error::Picture`] when the file cannot be written.
-pub fn write(path: &Path, field: &Field, command: &str) -> Result<()> {
-    Ok(atomic::write_bytes(path, &to_bytes(field, command))?)
+pub fn write(path: &Path, field: &Field, command: &str, most: Option<usize>) -> Result<()> {
+    let mut bytes = to_bytes(field, command, true);
+    if most.is_some_and(|most| bytes.len() > most) {
+        bytes = to_bytes(field, command, false);
+    }
+    Ok(atomic::write_bytes(path, &bytes)?)
 }
 
-/// The bytes of the file.
-pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
-    let (mut binary, mut views, mut images) = (Vec::new(), Vec::new(), Vec::new());
-    let mut add = |bytes: &[u8]| {
+/// The bytes of the file, with or without a preview.
+pub fn to_bytes(field: &Field, command: &str, preview: bool) -> Vec<u8> {
+    let (mut binary, mut views, mut textures) = (Vec::new(), Vec::new(), Vec::new());
+    let mut add_as = |bytes: &[u8], mut view: Value| {
         binary.resize(usize::next_multiple_of(binary.len(), 16), 0u8);
-        views.push(json!({ "buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len() }));
+        view["buffer"] = json!(0);
+        view["byteOffset"] = json!(binary.len());
+        view["byteLength"] = json!(bytes.len());
+        views.push(view);
         binary.extend_from_slice(bytes);
         views.len() - 1
     };
+    let scene = if preview { preview::scene(field, &mut add_as) } else { serde_json::Map::new() };
+    let mut add = |bytes: &[u8]| add_as(bytes, json!({}));
     let mut layers: Vec<LayerEntry> = Vec::new();
     // Layers of one codec are one array.
     let mut arrays: Vec<(Codec, Vec<Numbered<'_>>)> = Vec::new();
     for (number, l) in field.layers.iter().enumerate() {
-        let image = arrays.iter().position(|a| a.0 == l.codec).unwrap_or(arrays.len());
-        if image == arrays.len() {
+        let texture = arrays.iter().position(|a| a.0 == l.codec).unwrap_or(arrays.len());
+        if texture == arrays.len() {
             arrays.push((l.codec, Vec::new()));
         }
         let n = l.codec.channels();
-        let layer = arrays[image].1.len();
-        layers.push(LayerEntry { image, layer, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() });
-        arrays[image].1.push((number, &l.data));
+        let layer = arrays[texture].1.len();
+        layers.push(LayerEntry { texture, layer, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() });
+        arrays[texture].1.push((number, &l.data));
     }
     for (codec, data) in &arrays {
         let view = match &field.tiles {
@@ -147,25 +163,29 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
                 add(&ktx2::write(*codec, size, &parts.iter().map(|p| &p[..]).collect::<Vec<_>>()))
             }
         };
-        images.push(json!({ "mimeType": "image/ktx2", "bufferView": view, "name": format!("{codec:?}") }));
+        textures.push(view);
     }
     let tiles = field.tiles.as_ref().map(|t| TilesEntry { side: tiles::SIDE, counts_view: add(&t.counts) });
     let weights = match &field.angular {
         Angular::Basis(basis) => Weights::Basis { basis: *basis },
-        Angular::Lights { colour, lights, table, kernel } => {
+        Angular::Lights { colour, lights, views, table, kernel } => {
             let bits = weight_bits(field.model);
             let (codes, low, high) = codes(table, bits);
             let packed: Vec<u8> = match bits {
                 8 => codes.iter().map(|c| *c as u8).collect(),
                 _ => codes.iter().flat_map(|c| c.to_le_bytes()).collect(),
             };
-            let directions: Vec<u8> = lights.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-            let (directions_view, weights_view) = (add(&directions), add(&packed));
+            let mut directions =
+                |d: &[[f32; 3]]| add(&d.iter().flatten().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+            let directions_view = directions(lights);
+            let views_view = (!views.is_empty()).then(|| directions(views));
+            let weights_view = add(&packed);
             Weights::Lights {
                 colour: *colour,
                 kernel: *kernel,
                 count: lights.len(),
                 directions_view,
+                views_view,
                 weights_view,
                 bits,
                 low,
@@ -180,23 +200,24 @@ pub fn to_bytes(field: &Field, command: &str) -> Vec<u8> {
         height: field.height,
         domain: field.domain,
         white: field.white,
+        textures,
         layers,
         tiles,
         weights,
     };
     binary.resize(binary.len().next_multiple_of(4), 0);
-    let document = json!({
+    let mut document = json!({
         "asset": {
             "version": "2.0",
             "generator": format!("translume {}", env!("CARGO_PKG_VERSION")),
             "extras": { "command": command },
         },
-        "extensionsUsed": [EXTENSION],
+        "extensionsUsed": if scene.is_empty() { json!([EXTENSION]) } else { json!([EXTENSION, "KHR_materials_unlit"]) },
         "buffers": [{ "byteLength": binary.len() }],
         "bufferViews": views,
-        "images": images,
         "extensions": { EXTENSION: manifest },
     });
+    scene.into_iter().for_each(|(key, value)| document[key] = value);
     container(document.to_string().into_bytes(), &binary)
 }
 
@@ -291,17 +312,18 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
         }
     };
     let mut layers: Vec<Option<Texture>> = vec![None; manifest.layers.len()];
-    for image in 0..=manifest.layers.iter().map(|l| l.image).max().unwrap_or(0).min(layers.len()) {
-        // Layers of this image, in its order.
-        let mut own: Vec<usize> = (0..layers.len()).filter(|i| manifest.layers[*i].image == image).collect();
+    if manifest.textures.len() > layers.len() {
+        return Err("it has more textures than layers".into());
+    }
+    for (texture, at) in manifest.textures.iter().enumerate() {
+        // Layers of this texture, in its order.
+        let mut own: Vec<usize> = (0..layers.len()).filter(|i| manifest.layers[*i].texture == texture).collect();
         if own.is_empty() {
             continue;
         }
         own.sort_by_key(|i| manifest.layers[*i].layer);
-        let missing = |i: usize| format!("layer {i} is not in its image");
-        let at =
-            document["images"][image]["bufferView"].as_u64().ok_or_else(|| format!("layer {} has no image", own[0]))?;
-        let (codec, size, parts) = ktx2::read(view(at as usize)?)?;
+        let missing = |i: usize| format!("layer {i} is not in its texture");
+        let (codec, size, parts) = ktx2::read(view(*at)?)?;
         let data: Vec<Vec<u8>> = match &tiles {
             None => {
                 let one = |i: &usize| parts.get(manifest.layers[*i].layer).map(|d| d.to_vec());
@@ -330,16 +352,18 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
         }
     }
     let found: Option<Vec<Texture>> = layers.into_iter().collect();
-    let layers = found.ok_or("a layer has no image")?;
+    let layers = found.ok_or("a layer has no texture")?;
     let angular = match manifest.weights {
         Weights::Basis { basis } => Angular::Basis(basis),
-        Weights::Lights { colour, kernel, count, directions_view, weights_view, bits, low, high } => {
-            let directions = floats(view(directions_view)?);
-            let lights: Vec<[f32; 3]> = directions.as_chunks::<3>().0.to_vec();
-            if lights.len() != count || lights.iter().any(|l| (l.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() > 1e-2)
-            {
-                return Err(format!("{count} unit directions are wanted"));
-            }
+        Weights::Lights { colour, kernel, count, directions_view, views_view, weights_view, bits, low, high } => {
+            let directions = |at: usize| {
+                let found = floats(view(at)?).as_chunks::<3>().0.to_vec();
+                let unit = |d: &[f32; 3]| (d.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() <= 1e-2;
+                let sound = found.len() == count && found.iter().all(unit);
+                if sound { Ok(found) } else { Err(format!("{count} unit directions are wanted")) }
+            };
+            let lights = directions(directions_view)?;
+            let views = views_view.map(directions).transpose()?.unwrap_or_default();
             let packed = view(weights_view)?;
             let codes: Vec<u16> = match bits {
                 8 => packed.iter().map(|b| u16::from(*b)).collect(),
@@ -351,7 +375,7 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
                 return Err("the weights do not fit the lights (truncated?)".into());
             }
             check(kernel)?;
-            Angular::Lights { colour, table: values(&codes, count, (&low, &high), bits), lights, kernel }
+            Angular::Lights { colour, table: values(&codes, count, (&low, &high), bits), lights, views, kernel }
         }
     };
     if !(manifest.white > 0.0 && manifest.white.is_finite()) {
@@ -391,6 +415,7 @@ mod tests {
             angular: Angular::Lights {
                 colour: model == Model::Layers,
                 lights: lights.clone(),
+                views: if model == Model::LogPca { lights.iter().rev().copied().collect() } else { Vec::new() },
                 table: DMatrix::from_fn(3, columns, |i, j| (i * j) as f32 * 0.37 - 1.0),
                 kernel,
             },
@@ -411,12 +436,12 @@ mod tests {
     fn fields_come_back_as_they_were() {
         for mut field in fields() {
             quantise_weights(&mut field);
-            let bytes = to_bytes(&field, "translume field compress x");
+            let bytes = to_bytes(&field, "translume field compress x", true);
             let got = from_bytes(&bytes, Path::new("f")).unwrap();
             assert_eq!(got.layers, field.layers);
             let same =
                 (got.domain, got.white, got.model, got.width) == (field.domain, field.white, field.model, field.width);
-            assert!(same && got.lights() == field.lights());
+            assert!(same && got.lights() == field.lights() && got.views() == field.views());
             match (got.mix_of_light(2), field.mix_of_light(2)) {
                 (Some(got), Some(put)) => {
                     let values =
@@ -445,7 +470,7 @@ mod tests {
     #[test]
     fn truncated_and_damaged_files_are_errors_and_never_panics() {
         for field in fields() {
-            let bytes = to_bytes(&field, "");
+            let bytes = to_bytes(&field, "", true);
             for cut in (0..bytes.len()).step_by(3) {
                 assert!(from_bytes(&bytes[..cut], Path::new("f")).is_err(), "{cut}");
             }
@@ -461,7 +486,7 @@ mod tests {
 
     #[test]
     fn another_major_version_is_refused() {
-        let bytes = to_bytes(&fields()[0], "");
+        let bytes = to_bytes(&fields()[0], "", false);
         let text = String::from_utf8_lossy(&bytes[20..]).into_owned();
         let at = 20 + text.find("\"version\":\"1.0\"").unwrap() + 11;
         let mut newer = bytes;

@@ -11,17 +11,19 @@ const LEVEL_END: usize = 12 + 36 + 32 + 24;
 fn format(codec: Codec) -> (u32, u8, &'static [u32]) {
     match codec {
         Codec::R8 => (9, 1, &[8]),
+        Codec::R16 => (70, 1, &[16]),
         Codec::Rgb8 => (23, 1, &[8, 8, 8]),
         Codec::Bc1 => (131, 128, &[64]),
         Codec::Bc4 => (139, 131, &[64]),
+        Codec::Bc6h => (143, 133, &[128]),
         Codec::Bc7 => (145, 134, &[128]),
     }
 }
 
-const CODECS: [Codec; 5] = [Codec::R8, Codec::Rgb8, Codec::Bc1, Codec::Bc4, Codec::Bc7];
+const CODECS: [Codec; 7] = [Codec::R8, Codec::R16, Codec::Rgb8, Codec::Bc1, Codec::Bc4, Codec::Bc6h, Codec::Bc7];
 
 fn is_blocks(codec: Codec) -> bool {
-    !matches!(codec, Codec::R8 | Codec::Rgb8)
+    !matches!(codec, Codec::R8 | Codec::R16 | Codec::Rgb8)
 }
 
 /// A texture array of `layers`, each of the codec's bytes for `width × height`.
@@ -35,7 +37,8 @@ pub(crate) fn write(codec: Codec, (width, height): (usize, usize), layers: &[&[u
     let mut out = Vec::with_capacity(start + length);
     out.extend(IDENTIFIER);
     let layer_count = layers.len() as u32;
-    for v in [vk_format, 1, width as u32, height as u32, 0, layer_count, 1, 1, 0] {
+    let type_size = if codec == Codec::R16 { 2 } else { 1 };
+    for v in [vk_format, type_size, width as u32, height as u32, 0, layer_count, 1, 1, 0] {
         out.extend(v.to_le_bytes());
     }
     for v in [LEVEL_END as u32, descriptor.len() as u32, 0, 0] {
@@ -68,8 +71,14 @@ fn descriptor(codec: Codec) -> Vec<u8> {
     out.extend([bytes as u8, 0, 0, 0, 0, 0, 0, 0]);
     for (i, bits) in samples.iter().enumerate() {
         out.extend(((8 * i) as u16).to_le_bytes());
-        out.extend([(bits - 1) as u8, i as u8, 0, 0, 0, 0]);
-        let upper = if is_blocks(codec) { u32::MAX } else { 255 };
+        // BC6H is the one of floats: its range is written as that of floats, 0 to 1.
+        let float = codec == Codec::Bc6h;
+        out.extend([(bits - 1) as u8, i as u8 | if float { 0x80 } else { 0 }, 0, 0, 0, 0]);
+        let upper = match codec {
+            _ if float => 1f32.to_bits(),
+            _ if is_blocks(codec) => u32::MAX,
+            _ => (1 << bits) - 1,
+        };
         out.extend(0u32.to_le_bytes());
         out.extend(upper.to_le_bytes());
     }

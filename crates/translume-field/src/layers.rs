@@ -38,6 +38,8 @@ struct Candidate {
     decoded: Vec<Vec<f32>>,
     /// Products of the decoded planes with what is left: planes × inputs.
     cross: DMatrix<f64>,
+    /// Products of the decoded planes with each other.
+    products: DMatrix<f64>,
     /// Least-squares weights of the decoded planes: planes × inputs.
     weights: DMatrix<f64>,
     /// Energy it takes off what is left, a byte.
@@ -68,7 +70,7 @@ impl Candidate {
         let products = DMatrix::from_fn(n, n, |i, j| dot(&decoded[i], &decoded[j]));
         let weights = least_squares(&products, &cross);
         let gain = weights.dot(&cross) / codec.bytes(4, 4) as f64;
-        Ok(Self { texture, exact, decoded, cross, weights, gain })
+        Ok(Self { texture, exact, decoded, cross, products, weights, gain })
     }
 }
 
@@ -77,6 +79,8 @@ impl Candidate {
 pub(crate) struct Plan<'a> {
     /// Most textures.
     pub(crate) count: usize,
+    /// How many more, of 16 bits, follow for what they leave.
+    pub(crate) residual: usize,
     /// Whether a texture sees what encoding the earlier ones lost.
     pub(crate) closed_loop: bool,
     /// Which parts of the picture have how many of them; `None`: all have all.
@@ -93,25 +97,29 @@ pub(crate) fn encode(
     plan: &Plan,
     observe: &mut dyn FnMut(&[f32]),
 ) -> Result<Layers> {
-    let Plan { count, closed_loop, tiles } = *plan;
+    let Plan { count, residual, closed_loop, tiles } = *plan;
     let pixels = size.0 * size.1;
     let inputs = left.len() / pixels;
-    let original = Gram::of(&left, pixels);
+    // Products of what is left: followed up, as summing them anew is most of the work.
+    let Gram { mut products, sums } = Gram::of(&left, pixels);
+    let energy = products.trace().max(f64::MIN_POSITIVE);
     let (mut textures, mut decoded) = (Vec::new(), Vec::<Vec<f32>>::new());
     // What was taken off: planes and their weights. In a closed loop the planes are the decoded ones.
     let (mut taken, mut opened) = (Vec::<Vec<f64>>::new(), Vec::<Vec<f32>>::new());
     // Products with the planes as they were at first: with what is left, plus what was taken off.
-    let mut cross: Vec<Vec<f64>> = vec![original.sums.clone()];
+    let mut cross: Vec<Vec<f64>> = vec![sums];
     observe(&left);
-    for number in 0..count {
+    for number in 0..count + residual {
         if let Some(tiles) = tiles {
+            products -= products_in_tiles(&left, size, tiles, number);
             left.par_chunks_mut(pixels).for_each(|plane| tiles.clear(number, plane, size.0));
         }
-        let (directions, energies) = eigen(&Gram::of(&left, pixels).products);
-        if energies[0] <= 1e-12 * original.products.trace().max(f64::MIN_POSITIVE) {
+        let (directions, energies) = eigen(&products);
+        if energies[0] <= 1e-12 * energy {
             break;
         }
         let mut best: Option<Candidate> = None;
+        let codecs = if number < count { codecs } else { &[Codec::R16] };
         for codec in codecs.iter().filter(|c| c.channels() <= inputs) {
             let candidate = Candidate::new(*codec, &left, size, &directions, tiles.map(|t| (t, number)))?;
             best = best.filter(|b| b.gain >= candidate.gain).or(Some(candidate));
@@ -132,7 +140,12 @@ pub(crate) fn encode(
             subtract(&mut left, pixels, plane, &weights);
             taken.push(weights);
         }
-        if !closed_loop {
+        if closed_loop {
+            // (X − D W)ᵀ (X − D W), with C = Dᵀ X.
+            let cw = next.cross.transpose() * &next.weights;
+            products += next.weights.transpose() * &next.products * &next.weights - &cw - cw.transpose();
+        } else {
+            products = Gram::of(&left, pixels).products;
             opened.extend(next.exact);
         }
         decoded.extend(next.decoded);
@@ -163,9 +176,9 @@ fn least_squares(products: &DMatrix<f64>, cross: &DMatrix<f64>) -> DMatrix<f64> 
 }
 
 /// Texels that are enough to choose a codec on.
-const ENOUGH: usize = 1 << 15;
+pub(crate) const ENOUGH: usize = 1 << 15;
 /// Texels that are enough to find out how many layers each tile needs.
-const ENOUGH_FOR_TILES: usize = 1 << 17;
+pub(crate) const ENOUGH_FOR_TILES: usize = 1 << 17;
 
 /// Rows of blocks of several planes, as planes of a lower picture, and its height.
 fn strips(planes: &[f32], (width, height): (usize, usize), rows: &[usize]) -> (Vec<f32>, usize) {
@@ -174,7 +187,13 @@ fn strips(planes: &[f32], (width, height): (usize, usize), rows: &[usize]) -> (V
     (part, rows.iter().map(|i| (4 * i + 4).min(height) - 4 * i).sum())
 }
 
-/// Which of `codecs` to encode with: each alone, or all of them, whatever leaves least of an even choice of rows of blocks.
+/// What `codecs` can be encoded with: each alone, or all of them, for each texture that which takes off more.
+pub(crate) fn choices(codecs: &[Codec]) -> Vec<Vec<Codec>> {
+    let all = (codecs.len() > 1).then(|| codecs.to_vec());
+    codecs.iter().map(|c| vec![*c]).chain(all).collect()
+}
+
+/// Which of [`choices`] leaves least of an even choice of rows of blocks.
 pub(crate) fn best_codecs(
     planes: &[f32],
     size: (usize, usize),
@@ -188,8 +207,8 @@ pub(crate) fn best_codecs(
     let rows: Vec<usize> = (0..size.1.div_ceil(4)).step_by((size.0 * size.1).div_ceil(ENOUGH)).collect();
     let (part, height) = strips(planes, size, &rows);
     let mut found = (f64::NEG_INFINITY, codecs.to_vec());
-    for choice in codecs.iter().map(|c| vec![*c]).chain([codecs.to_vec()]) {
-        let plan = Plan { count, closed_loop, tiles: None };
+    for choice in choices(codecs) {
+        let plan = Plan { count, residual: 0, closed_loop, tiles: None };
         let layers = encode(part.clone(), (size.0, height), &choice, &plan, &mut |_| ())?;
         let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
         if kept > found.0 {
@@ -199,22 +218,24 @@ pub(crate) fn best_codecs(
     Ok(found.1)
 }
 
-/// What each tile would leave after 0, 1, … `count` layers, from a part of its rows of blocks: by layers, then tile.
+/// What each tile would leave after 0, 1, … `count` layers, from a part of its rows of blocks with some `enough` texels: by
+/// layers, then tile.
 pub(crate) fn left_in_tiles(
     planes: &[f32],
     size: (usize, usize),
     codecs: &[Codec],
     count: usize,
+    enough: usize,
 ) -> Result<Vec<Vec<f64>>> {
     let grid = Tiles::grid(size.0, size.1);
     let per_tile = tiles::SIDE / 4;
-    let every = (size.0 * size.1).div_ceil(ENOUGH_FOR_TILES).clamp(1, per_tile);
+    let every = (size.0 * size.1).div_ceil(enough).clamp(1, per_tile);
     // The last tiles may be low: each begins with a row that counts.
     let rows: Vec<usize> = (0..size.1.div_ceil(4)).filter(|i| (i % per_tile).is_multiple_of(every)).collect();
     let tile_row: Vec<usize> = rows.iter().flat_map(|i| vec![i / per_tile; (4 * i + 4).min(size.1) - 4 * i]).collect();
     let (part, height) = strips(planes, size, &rows);
     let mut left = Vec::new();
-    let plan = Plan { count, closed_loop: true, tiles: None };
+    let plan = Plan { count, residual: 0, closed_loop: true, tiles: None };
     encode(part, (size.0, height), codecs, &plan, &mut |planes| {
         left.push(tiles::energies(planes, (size.0, height), grid, &tile_row));
     })?;
@@ -246,6 +267,28 @@ impl Gram {
             planes.chunks(pixels).map(|p| p.par_chunks(CHUNK).map(sum).collect::<Vec<_>>().iter().sum()).collect();
         Self { products, sums }
     }
+}
+
+/// Products of planes with each other in the tiles that have `number` layers and no more.
+fn products_in_tiles(planes: &[f32], (width, height): (usize, usize), tiles: &Tiles, number: usize) -> DMatrix<f64> {
+    let (pixels, n) = (width * height, planes.len() / (width * height));
+    let own: Vec<usize> = (0..tiles.counts.len()).filter(|t| usize::from(tiles.counts[*t]) == number).collect();
+    let of_tile = |t: &usize| {
+        let (x, y) = (t % tiles.across * tiles::SIDE, t / tiles.across * tiles::SIDE);
+        let columns = tiles::SIDE.min(width - x);
+        let mut out = DMatrix::<f32>::zeros(n, n);
+        for row in y..(y + tiles::SIDE).min(height) {
+            let start = &planes[row * width + x..];
+            add_product(&mut out, &transposed(start, columns, n, pixels), &view(start, columns, n, pixels));
+        }
+        out.map(f64::from)
+    };
+    let mut sum = DMatrix::zeros(n, n);
+    // Rounds bound the memory of partial sums.
+    for round in own.chunks(64) {
+        round.par_iter().map(of_tile).collect::<Vec<_>>().iter().for_each(|p| sum += p);
+    }
+    sum
 }
 
 fn sum(values: &[f32]) -> f64 {
@@ -288,7 +331,7 @@ mod tests {
     use super::*;
 
     fn whole(count: usize) -> Plan<'static> {
-        Plan { count, closed_loop: true, tiles: None }
+        Plan { count, residual: 0, closed_loop: true, tiles: None }
     }
 
     #[test]
@@ -310,10 +353,10 @@ mod tests {
                 })
             })
             .collect();
-        let left = left_in_tiles(&planes, size, &[Codec::Bc1], 8).unwrap();
+        let left = left_in_tiles(&planes, size, &[Codec::Bc1], 8, ENOUGH_FOR_TILES).unwrap();
         assert!(left[0][2] == 0.0 && left[0][1] > left[4][1] && left[4][1] > left[8][1]);
         let error = |tiles: Option<&Tiles>, count: usize| {
-            let plan = Plan { count, closed_loop: true, tiles };
+            let plan = Plan { count, residual: 0, closed_loop: true, tiles };
             let layers = encode(planes.clone(), size, &[Codec::Bc1], &plan, &mut |_| ()).unwrap();
             let total: f64 = planes.iter().map(|v| f64::from(v * v)).sum::<f64>() / (size.0 * size.1) as f64;
             total - (layers.weights.transpose() * &layers.products * &layers.weights).trace()

@@ -8,6 +8,7 @@
 //! Directions point from the object to the light: x right, y up, z to the camera.
 
 pub mod basis;
+mod bc6h;
 mod compress;
 mod domain;
 pub mod environment;
@@ -22,12 +23,14 @@ pub mod matrix;
 pub mod measure;
 pub mod names;
 pub mod pca;
+mod preview;
 pub mod probe;
 mod relight;
 pub mod relightlab;
 pub mod simulate;
 pub mod sphere;
 mod stack;
+pub mod strength;
 pub mod texture;
 pub mod tiles;
 

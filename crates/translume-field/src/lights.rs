@@ -12,6 +12,18 @@ pub struct Shot {
     pub path: PathBuf,
     /// Unit vector to the light.
     pub light: [f32; 3],
+    /// Unit vector to the camera, where pictures differ in that: a BTF or a surface light field, its pictures rectified to the texels of
+    /// the surface.
+    pub view: Option<[f32; 3]>,
+    /// How strong the light was, where lights differ: the picture is divided by it.
+    pub strength: f32,
+}
+
+impl Shot {
+    /// A picture under a light of strength 1, of a stack with one view.
+    pub fn new(path: PathBuf, light: [f32; 3]) -> Self {
+        Self { path, light, view: None, strength: 1.0 }
+    }
 }
 
 /// Endings of files that are taken for pictures where a list does not name them.
@@ -32,7 +44,7 @@ pub fn find(folder: &Path, list: Option<&Path>) -> Result<(Vec<Shot>, usize)> {
     let ending = ending(&list);
     let shots = match ending.as_str() {
         "lp" => parse_named(&text, &list, folder, true)?,
-        "csv" => parse_named(&text.replace([',', ';'], " "), &list, folder, false)?,
+        "csv" => parse_named(&text, &list, folder, false)?,
         _ => {
             let lights = parse_table(&text, &list)?;
             let pictures = numbered_pictures(&entries);
@@ -45,7 +57,7 @@ pub fn find(folder: &Path, list: Option<&Path>) -> Result<(Vec<Shot>, usize)> {
                 );
                 return Err(Error::invalid(&list, what));
             }
-            pictures.into_iter().zip(lights).map(|(path, light)| Shot { path, light }).collect()
+            pictures.into_iter().zip(lights).map(|(path, light)| Shot::new(path, light)).collect()
         }
     };
     check(&shots, &list)?;
@@ -69,6 +81,16 @@ pub fn to_lp(shots: &[Shot], folder: &Path) -> String {
         format!("{} {} {} {}\n", name.to_string_lossy().replace('\\', "/"), s.light[0], s.light[1], s.light[2])
     };
     format!("{}\n", shots.len()) + &shots.iter().map(line).collect::<String>()
+}
+
+/// The text of a `lights.csv` of `shots`, with strengths, names as in [`to_lp`].
+pub fn to_csv(shots: &[Shot], folder: &Path) -> String {
+    let line = |s: &Shot| {
+        let name = s.path.strip_prefix(folder).unwrap_or(&s.path);
+        let [x, y, z] = s.light;
+        format!("{},{x},{y},{z},{}\n", name.to_string_lossy().replace('\\', "/"), s.strength)
+    };
+    String::from("file,x,y,z,strength\n") + &shots.iter().map(line).collect::<String>()
 }
 
 fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -98,7 +120,8 @@ fn find_list(folder: &Path, entries: &[PathBuf]) -> Result<PathBuf> {
     names.iter().map(|n| folder.join(n)).find(|p| p.is_file()).ok_or_else(|| {
         Error::invalid(
             folder,
-            "no light directions: put an .lp file, lights.csv or lights.txt there, or give one with --lights",
+            "no light directions: put an .lp file, lights.csv or lights.txt there, give one with --lights, or estimate them from a \
+             ball in the pictures with `translume field lights`",
         )
     })
 }
@@ -109,8 +132,9 @@ fn read_text(path: &Path) -> Result<String> {
     String::from_utf8(bytes.to_vec()).map_err(|_| Error::invalid(path, "not a text file in UTF-8"))
 }
 
-/// `NAME x y z` a line, after a count if `counted`. Names may hold spaces. A first line without numbers is a heading
-/// of a table.
+/// `NAME x y z` a line, after a count if `counted`. Names may hold spaces. Otherwise commas or semicolons are between, a first line
+/// without numbers is a heading, and the direction to the camera may follow, then the strength of the light: as in the first line, so
+/// in all.
 fn parse_named(text: &str, list: &Path, folder: &Path, counted: bool) -> Result<Vec<Shot>> {
     let mut lines =
         text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.trim_start().starts_with('#')).peekable();
@@ -121,27 +145,38 @@ fn parse_named(text: &str, list: &Path, folder: &Path, counted: bool) -> Result<
             Some(first.ok_or_else(|| Error::invalid(list, "the first line of an .lp file is the number of pictures"))?);
     }
     let base = list.parent().unwrap_or(Path::new(""));
+    let fields = lines.peek().map_or(0, |(_, l)| l.split([',', ';']).count());
+    let wanted = if !counted && [5, 7, 8].contains(&fields) { fields - 1 } else { 3 };
     let mut shots = Vec::new();
     for (i, line) in lines {
-        let words: Vec<&str> = line.split_whitespace().collect();
+        let spaced = if counted { line.to_owned() } else { line.replace([',', ';'], " ") };
+        let words: Vec<&str> = spaced.split_whitespace().collect();
         let numbers: Option<Vec<f32>> = words
             .len()
-            .checked_sub(3)
+            .checked_sub(wanted)
             .filter(|n| *n > 0)
             .and_then(|n| words[n..].iter().map(|w| w.parse().ok()).collect());
-        let Some(light) = numbers else {
+        let Some(numbers) = numbers else {
             if !counted && shots.is_empty() && words.iter().all(|w| w.parse::<f32>().is_err()) {
                 continue;
             }
-            return Err(Error::invalid(list, format!("line {}: a picture and its direction x y z are wanted", i + 1)));
+            let view = if wanted >= 6 { ", that to the camera, x y z," } else { "" };
+            let strength = if wanted % 3 == 1 { " and the light's strength" } else { "" };
+            let what = format!("line {}: a picture and its direction x y z{view}{strength} are wanted", i + 1);
+            return Err(Error::invalid(list, what));
         };
-        // What is left of the line when three words are taken off its end.
-        let mut name = line.trim_end();
-        for word in words[words.len() - 3..].iter().rev() {
+        // What is left of the line when the numbers are taken off its end.
+        let mut name = spaced.trim_end();
+        for word in words[words.len() - wanted..].iter().rev() {
             name = name.strip_suffix(word).unwrap_or(name).trim_end();
         }
-        let light = unit([light[0], light[1], light[2]], list, i + 1)?;
-        shots.push(Shot { path: locate(name.trim(), base, folder, list)?, light });
+        let triple = |at: usize| unit([numbers[at], numbers[at + 1], numbers[at + 2]], list, i + 1);
+        let view = (wanted >= 6).then(|| triple(3)).transpose()?;
+        let strength = if wanted % 3 == 1 { numbers[wanted - 1] } else { 1.0 };
+        if !(strength > 0.0 && strength.is_finite()) {
+            return Err(Error::invalid(list, format!("line {}: {strength} is no strength of a light", i + 1)));
+        }
+        shots.push(Shot { path: locate(name.trim(), base, folder, list)?, light: triple(0)?, view, strength });
     }
     if let Some(n) = count.filter(|n| *n != shots.len()) {
         return Err(Error::invalid(list, format!("{n} pictures announced, {} listed", shots.len())));
@@ -271,6 +306,24 @@ mod tests {
         let wide = "1 0 0 1\n0 1 0 1\n0 0 1 0\n";
         let names = [("1.png", ""), ("2.png", ""), ("3.png", ""), ("4.png", ""), ("light_directions.txt", wide)];
         assert_eq!(lights(&names).unwrap()[1].1, [0.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn a_csv_file_may_hold_the_view_as_well() {
+        let list = "file,lx,ly,lz,vx,vy,vz\na 1.png,0,0,2,3,0,4\n";
+        let dir = stack(&[("lights.csv", list), ("a 1.png", "")]);
+        let shots = find(dir.path(), None).unwrap().0;
+        assert_eq!((shots[0].light, shots[0].view), ([0.0, 0.0, 1.0], Some([0.6, 0.0, 0.8])));
+        std::fs::write(dir.path().join("lights.csv"), list.replace(",0,4", ",4")).unwrap();
+        let error = find(dir.path(), None).unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.contains("to the camera"), "{error}");
+        // A strength after either.
+        for text in ["a 1.png,0,0,2,0.5\n", "a 1.png;0;0;2;0;0;1;0.5\n"] {
+            std::fs::write(dir.path().join("lights.csv"), text).unwrap();
+            assert_eq!(find(dir.path(), None).unwrap().0[0].strength, 0.5);
+        }
+        std::fs::write(dir.path().join("lights.csv"), "a 1.png,0,0,2,-1\n").unwrap();
+        assert!(find(dir.path(), None).unwrap_err().to_string().contains("no strength"));
     }
 
     #[test]

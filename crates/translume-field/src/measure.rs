@@ -36,7 +36,11 @@ pub struct PictureError {
 pub fn is_own(field: &Field, stack: &Stack) -> bool {
     let lights = field.lights();
     let near = |a: &[f32; 3], b: &[f32; 3]| (0..3).all(|c| (a[c] - b[c]).abs() < 1e-4);
-    lights.len() == stack.shots.len() && lights.iter().zip(&stack.shots).all(|(l, s)| near(l, &s.light))
+    let views = stack.views();
+    lights.len() == stack.shots.len()
+        && lights.iter().zip(&stack.shots).all(|(l, s)| near(l, &s.light))
+        && views.len() == field.views().len()
+        && views.iter().zip(field.views()).all(|(a, b)| near(a, b))
 }
 
 /// Errors of all pictures of a stack.
@@ -53,10 +57,10 @@ pub fn compare(field: &Field, stack: &mut Stack, progress: &(dyn Fn() + Sync)) -
     }
     let relighter = Relighter::new(field)?;
     let own = is_own(field, stack);
-    let directions: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
-    let found = std::sync::Mutex::new(vec![None; directions.len()]);
+    let shots = stack.shots.clone();
+    let found = std::sync::Mutex::new(vec![None; shots.len()]);
     let each = |light: usize, rgb: Vec<f32>| {
-        let mix = field.mix_of_light(light).filter(|_| own).unwrap_or_else(|| relighter.mix(directions[light]));
+        let mix = field.mix_of_light(light).filter(|_| own).unwrap_or_else(|| relighter.mix_of(&shots[light]));
         let got = relighter.picture(&mix);
         let (mut sum, mut log_sum) = (0.0f64, 0.0f64);
         for (x, y) in rgb.iter().zip(&got) {

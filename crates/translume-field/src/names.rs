@@ -2,7 +2,7 @@
 //!
 //! A pattern is a file name with `{x}`, `{y}` and `{z}`, or with `{theta}` and `{phi}`, in the places of numbers (a sign, digits,
 //! a point and digits), and `{*}` for anything. Angles are degrees: theta from the view (0: the lamp is at the camera), phi about it,
-//! from the right (0) over the top (90).
+//! from the right (0) over the top (90). `{vtheta}` and `{vphi}` are the same of the camera, for pictures from several views.
 
 use crate::lights::{Shot, normalised, pictures};
 use crate::{Error, Result};
@@ -11,12 +11,12 @@ use std::path::Path;
 #[derive(Debug, PartialEq)]
 enum Part<'a> {
     Text(&'a str),
-    /// x, y, z, theta, phi.
+    /// One of [`NUMBERS`].
     Number(usize),
     Any,
 }
 
-const NUMBERS: [&str; 5] = ["x", "y", "z", "theta", "phi"];
+const NUMBERS: [&str; 7] = ["x", "y", "z", "theta", "phi", "vtheta", "vphi"];
 
 /// The pictures of `folder` whose names fit `pattern`, with the directions there, and how many do not fit.
 ///
@@ -27,21 +27,21 @@ pub fn find(folder: &Path, pattern: &str) -> Result<(Vec<Shot>, usize)> {
     let (mut shots, mut others) = (Vec::new(), 0);
     for path in pictures(folder)? {
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let mut values = [0.0; 5];
+        let mut values = [0.0; 7];
         if !fits(&name, &parts, &mut values) {
             others += 1;
             continue;
         }
-        let [x, y, z, theta, phi] = values;
-        let light = if parts.contains(&Part::Number(3)) {
+        let [x, y, z, theta, phi, vtheta, vphi] = values;
+        let polar = |theta: f64, phi: f64| {
             let ((sin, cos), (up, right)) = (theta.to_radians().sin_cos(), phi.to_radians().sin_cos());
             [sin * right, sin * up, cos]
-        } else {
-            [x, y, z]
         };
+        let light = if parts.contains(&Part::Number(3)) { polar(theta, phi) } else { [x, y, z] };
         let light =
             normalised(light.map(|v| v as f32)).ok_or_else(|| Error::invalid(&path, "the name holds no direction"))?;
-        shots.push(Shot { path, light });
+        let view = parts.contains(&Part::Number(5)).then(|| polar(vtheta, vphi).map(|v| v as f32));
+        shots.push(Shot { view, ..Shot::new(path, light) });
     }
     Ok((shots, others))
 }
@@ -62,7 +62,7 @@ fn parse(pattern: &str) -> Result<Vec<Part<'_>>> {
         let part = match number {
             Some(i) => Part::Number(i),
             None if name == "*" => Part::Any,
-            None => return Err(wrong("places are {x}, {y}, {z}, or {theta}, {phi}, and {*}")),
+            None => return Err(wrong("places are {x}, {y}, {z}, or {theta}, {phi}, then {vtheta}, {vphi}, and {*}")),
         };
         if parts.contains(&part) && part != Part::Any {
             return Err(wrong("a place occurs twice"));
@@ -75,12 +75,13 @@ fn parse(pattern: &str) -> Result<Vec<Part<'_>>> {
     }
     let has = |i| parts.contains(&Part::Number(i));
     match [has(0), has(1), has(2), has(3), has(4)] {
+        _ if has(5) != has(6) => Err(wrong("{vtheta} and {vphi} are wanted, or none of them")),
         [true, true, true, false, false] | [false, false, false, true, true] => Ok(parts),
         _ => Err(wrong("{x}, {y} and {z}, or {theta} and {phi} are wanted")),
     }
 }
 
-fn fits(name: &str, parts: &[Part], values: &mut [f64; 5]) -> bool {
+fn fits(name: &str, parts: &[Part], values: &mut [f64; 7]) -> bool {
     match parts {
         [] => name.is_empty(),
         [Part::Text(text), rest @ ..] => name.strip_prefix(text).is_some_and(|n| fits(n, rest, values)),
@@ -131,6 +132,11 @@ mod tests {
         assert!(wanted.iter().all(|w| found.iter().any(|f| near(*f, *w))), "{found:?}");
         let (found, _) = directions("x{x}y{y}z{z}.exr", &["x0y-3.0z4.exr"]).unwrap();
         assert!(near(found[0], [0.0, -0.6, 0.8]));
+        // As the Bonn BTFs name them.
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("7 tl045 pl180 tv090 pv090.jpg"), "").unwrap();
+        let shot = find(dir.path(), "{*} tl{theta} pl{phi} tv{vtheta} pv{vphi}.jpg").unwrap().0.swap_remove(0);
+        assert!(near(shot.light, [-half, 0.0, half]) && near(shot.view.unwrap(), [0.0, 1.0, 0.0]), "{shot:?}");
     }
 
     #[test]
@@ -143,6 +149,7 @@ mod tests {
             ("{theta}_{phi", "without"),
             ("{t}_{phi}", "places are"),
             ("{theta}_{theta}_{phi}", "twice"),
+            ("{theta}_{phi}_{vphi}", "or none of them"),
         ] {
             let error = directions(pattern, &[]).unwrap_err().to_string();
             assert!(error.contains(what), "{pattern}: {error}");

@@ -34,7 +34,7 @@ pub enum Surface {
 pub struct ProbeLight {
     /// Unit direction, x right, y up, z to the camera.
     pub direction: [f32; 3],
-    /// What a matt ball shows where it faces the light; 1 for a mirror.
+    /// What a matt ball shows where it faces the light; 1 for a mirror, whose highlight is mostly clipped.
     pub strength: f32,
 }
 

@@ -4,8 +4,9 @@
 //! others, and fields with blocks that lie on no line, from decoded planes.
 
 use crate::field::{Angular, Field, Mix};
+use crate::lights::Shot;
 use crate::lines::{Factors, GROUP, Lines, Steps, TEXELS, Tile, last_code};
-use crate::sphere::Interpolation;
+use crate::sphere::{Interpolation, points};
 use crate::texture::Texture;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -70,12 +71,13 @@ impl<'a> Relighter<'a> {
     pub fn new(field: &'a Field) -> Result<Self> {
         let odd = !field.in_colour() && field.layers.iter().any(|l| l.codec.channels() != 3);
         let interpolation = match &field.angular {
-            Angular::Lights { colour, lights, table, kernel } => {
+            Angular::Lights { colour, lights, views, table, kernel } => {
                 let columns = if *colour { 3 + 3 * field.planes() } else { field.layers.len() };
-                if odd || table.shape() != (lights.len(), columns) || lights.is_empty() {
+                let seen = views.is_empty() || views.len() == lights.len();
+                if odd || !seen || table.shape() != (lights.len(), columns) || lights.is_empty() {
                     return Err(Error::Parameter("the weights do not fit the layers".into()));
                 }
-                Some(Interpolation::new(*kernel, lights, table, field.domain))
+                Some(Interpolation::new(*kernel, &points(lights, views), table, field.domain))
             }
             Angular::Basis(basis) => {
                 if odd || basis.terms() != field.layers.len() {
@@ -97,14 +99,24 @@ impl<'a> Relighter<'a> {
         Ok(Self { field, store, interpolation })
     }
 
-    /// The weights for a unit direction to the light.
+    /// The weights for a unit direction to the light, seen along the normal where the field has several views.
     pub fn mix(&self, direction: [f32; 3]) -> Mix {
+        self.mix_seen(direction, [0.0, 0.0, 1.0])
+    }
+
+    /// The weights for unit directions to the light and to the camera. Only fields with several views look at the latter.
+    pub fn mix_seen(&self, direction: [f32; 3], view: [f32; 3]) -> Mix {
         match (&self.interpolation, &self.field.angular) {
-            (Some(interpolation), _) => self.field.mix(&interpolation.at(direction)),
+            (Some(interpolation), _) => self.field.mix(&interpolation.at(direction, view)),
             (None, Angular::Basis(basis)) => self.field.mix(&basis.at(direction)),
             // Not made by new().
             (None, Angular::Lights { .. }) => self.field.mix(&[]),
         }
+    }
+
+    /// The weights for the light and view of a picture.
+    pub fn mix_of(&self, shot: &Shot) -> Mix {
+        shot.view.map_or_else(|| self.mix(shot.light), |view| self.mix_seen(shot.light, view))
     }
 
     /// Linear light under one light: interleaved RGB in the stack's unit.
@@ -307,6 +319,7 @@ mod tests {
                 let angular = Angular::Lights {
                     colour,
                     lights: small().lights().to_vec(),
+                    views: Vec::new(),
                     table: DMatrix::from_fn(3, columns, |i, j| ((3 * i + 5 * j) % 7) as f32 * 0.1 - 0.3),
                     kernel: Kernel::Gaussian { width: 0.3 },
                 };
@@ -353,6 +366,7 @@ mod tests {
             angular: Angular::Lights {
                 colour: true,
                 lights: vec![[0.0, 0.0, 1.0], [b, 0.0, a], [0.0, -b, a]],
+                views: Vec::new(),
                 table: DMatrix::from_fn(3, 9, |i, j| (i + j) as f32 * 0.1),
                 kernel: Kernel::Gaussian { width: 0.3 },
             },

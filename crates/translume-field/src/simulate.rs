@@ -97,7 +97,7 @@ pub fn picture((width, height): (u32, u32), light: V) -> Rgb32FImage {
 /// [`Error::Io`], [`Error::Picture`].
 pub fn write(dir: &Path, size: (u32, u32), lights: &[V]) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
-    let shot = |(i, light): (usize, &V)| Shot { path: dir.join(format!("l{i:03}.exr")), light: *light };
+    let shot = |(i, light): (usize, &V)| Shot::new(dir.join(format!("l{i:03}.exr")), *light);
     let shots: Vec<Shot> = lights.iter().enumerate().map(shot).collect();
     for s in &shots {
         write_exr(&s.path, &Picture::new(picture(size, s.light)), &ExrOptions::default())?;

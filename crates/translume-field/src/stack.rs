@@ -108,6 +108,11 @@ impl Stack {
         Ok(stack)
     }
 
+    /// The directions to the camera, where the pictures differ in that; else none.
+    pub fn views(&self) -> Vec<[f32; 3]> {
+        self.shots.iter().filter_map(|s| s.view).collect()
+    }
+
     /// Number of pixels of a picture.
     pub fn pixels(&self) -> usize {
         self.width * self.height
@@ -139,7 +144,8 @@ impl Stack {
             );
             return Err(Error::invalid(path, what));
         }
-        let (scale, mut non_finite, mut negative, mut most) = (1.0 / self.white, 0, 0, 0.0f32);
+        let scale = 1.0 / (self.white * self.shots[i].strength);
+        let (mut non_finite, mut negative, mut most) = (0, 0, 0.0f32);
         for v in &mut rgb {
             if !v.is_finite() {
                 non_finite += 1;
@@ -239,7 +245,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let white = |highlight: f32| {
             let shots: Vec<Shot> =
-                (0..3).map(|i| Shot { path: dir.path().join(format!("{i}.exr")), light: [0.0, 0.0, 1.0] }).collect();
+                (0..3).map(|i| Shot::new(dir.path().join(format!("{i}.exr")), [0.0, 0.0, 1.0])).collect();
             for shot in &shots {
                 let light = |i: usize| match i {
                     ..1920 => 0.0,

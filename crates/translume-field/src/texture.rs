@@ -1,10 +1,10 @@
 //! Planes of numbers as textures that a graphics processor reads as they are.
 //!
 //! A texture holds one or three channels, each mapped from its own range to [0, 1] [Menzel 2012, §4.3], raw or in blocks
-//! of 4 × 4. BC4, the codec of the default model, is written here; BC1 and BC7 are the `block_compression` crate's.
+//! of 4 × 4. BC4, the codec of the default model, and BC6H are written here; BC1 and BC7 are the `block_compression` crate's.
 //! Sizes that are no multiple of four are filled up by repeating the last row and column.
 
-use crate::{Error, Result, lines};
+use crate::{Error, Result, bc6h, lines};
 use block_compression::{BC7Settings, CompressionVariant, decode, encode};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -15,12 +15,16 @@ use serde::{Deserialize, Serialize};
 pub enum Codec {
     /// One channel, 8 bits.
     R8,
+    /// One channel, 16 bits.
+    R16,
     /// Three channels of 8 bits.
     Rgb8,
     /// Three channels, 4 bits a texel: two colours of 5, 6 and 5 bits and two between them (DXT1).
     Bc1,
     /// One channel, 4 bits a texel: two values of 8 bits and six between them.
     Bc4,
+    /// Three channels, 8 bits a texel, ends of 10 to 16 bits and 16 steps: values are the patterns of half floats.
+    Bc6h,
     /// Three channels, 8 bits a texel.
     Bc7,
 }
@@ -42,8 +46,8 @@ impl Codec {
     /// Channels of a texel.
     pub fn channels(self) -> usize {
         match self {
-            Self::R8 | Self::Bc4 => 1,
-            Self::Rgb8 | Self::Bc1 | Self::Bc7 => 3,
+            Self::R8 | Self::R16 | Self::Bc4 => 1,
+            Self::Rgb8 | Self::Bc1 | Self::Bc6h | Self::Bc7 => 3,
         }
     }
 
@@ -52,9 +56,10 @@ impl Codec {
         let blocks = width.div_ceil(4) * height.div_ceil(4);
         match self {
             Self::R8 => width * height,
+            Self::R16 => 2 * width * height,
             Self::Rgb8 => 3 * width * height,
             Self::Bc1 | Self::Bc4 => 8 * blocks,
-            Self::Bc7 => 16 * blocks,
+            Self::Bc6h | Self::Bc7 => 16 * blocks,
         }
     }
 
@@ -102,10 +107,18 @@ impl Texture {
         let unit = |c: usize, i: usize| (planes[c][i] - low[c]) / (high[c] - low[c]);
         let data = match codec {
             Codec::R8 => (0..planes[0].len()).map(|i| byte(unit(0, i))).collect(),
+            Codec::R16 => {
+                let code = |i: usize| (unit(0, i) * 65535.0 + 0.5) as u16;
+                (0..planes[0].len()).flat_map(|i| code(i).to_le_bytes()).collect()
+            }
             Codec::Rgb8 => (0..planes[0].len()).flat_map(|i| [0, 1, 2].map(|c| byte(unit(c, i)))).collect(),
             Codec::Bc4 => blocks(8, (width, height), keep, |at, out| {
                 let values: [f32; 16] = std::array::from_fn(|i| 255.0 * unit(0, at(i)));
                 out.copy_from_slice(&bc4_block(&values));
+            }),
+            Codec::Bc6h => blocks(16, (width, height), keep, |at, out| {
+                let texels = std::array::from_fn(|i| [0, 1, 2].map(|c| unit(c, at(i))));
+                out.copy_from_slice(&bc6h::encode(&texels));
             }),
             Codec::Bc1 | Codec::Bc7 => blocks(codec.bytes(4, 4), (width, height), keep, |at, out| {
                 let texel = |i| [0, 1, 2, 3].map(|c| if c < 3 { byte(unit(c, at(i))) } else { 255 });
@@ -119,13 +132,19 @@ impl Texture {
     /// The planes of a `width × height` texture in [0, 1], as 16-bit codes.
     ///
     /// # Errors
-    /// [`Error::Parameter`] when the data are not of that size.
+    /// [`Error::Parameter`] when the data are not of that size, or BC6H blocks have two pairs of ends.
     pub fn decode(&self, width: usize, height: usize) -> Result<Vec<Vec<u16>>> {
         if self.data.len() != self.codec.bytes(width, height) {
             let what = format!("a {width} × {height} texture of {:?} with {} bytes", self.codec, self.data.len());
             return Err(Error::Parameter(what));
         }
+        if self.codec == Codec::Bc6h && !self.data.as_chunks::<16>().0.iter().all(|b| bc6h::decode(b).is_some()) {
+            return Err(Error::Parameter("a BC6H texture with blocks of two pairs of ends".into()));
+        }
         let channels = self.codec.channels();
+        if self.codec == Codec::R16 {
+            return Ok(vec![self.data.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect()]);
+        }
         let mut planes = vec![vec![0u16; width * height]; channels];
         if matches!(self.codec, Codec::R8 | Codec::Rgb8) {
             for (c, plane) in planes.iter_mut().enumerate() {
@@ -180,6 +199,11 @@ impl Texture {
         }
         match self.codec {
             Codec::Bc4 => out[0] = bc4_texels(block),
+            Codec::Bc6h => {
+                let last = u32::from(bc6h::LAST);
+                let code = |v: u16| ((u32::from(v) * 65535 + last / 2) / last) as u16;
+                out = bc6h::decode(block).unwrap_or_default().map(|c| c.map(code));
+            }
             _ => {
                 let mut texels = [0u8; 64];
                 decode::decompress_blocks_as_rgba8(self.codec.library(), 4, 4, block, &mut texels);
@@ -333,9 +357,15 @@ mod tests {
     #[test]
     fn each_codec_gives_back_what_it_can_hold() {
         // The range is about 8; an 8-bit step of it is 0.03, a uniform error in a step has an RMS of 0.29 steps.
-        for (codec, most) in
-            [(Codec::R8, 0.011), (Codec::Rgb8, 0.011), (Codec::Bc4, 0.05), (Codec::Bc1, 0.4), (Codec::Bc7, 0.2)]
-        {
+        for (codec, most) in [
+            (Codec::R8, 0.011),
+            (Codec::R16, 1e-4),
+            (Codec::Rgb8, 0.011),
+            (Codec::Bc4, 0.05),
+            (Codec::Bc1, 0.4),
+            (Codec::Bc6h, 0.25),
+            (Codec::Bc7, 0.2),
+        ] {
             for size in [(32, 16), (33, 18), (3, 1)] {
                 let got = rms(codec, size);
                 assert!(got < most, "{codec:?} {size:?}: {got}");

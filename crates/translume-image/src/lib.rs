@@ -29,7 +29,7 @@ pub use codes::{Codes, Samples};
 pub use error::{Error, Result};
 pub use formats::exr_read::{ExrChannel, ExrPart, ExrPlanes, read_exr_channels, read_exr_parts};
 pub use formats::exr_write::{ExrCompression, ExrOptions, Precision, write_exr, write_exr_channels};
-pub use formats::jpeg::write_jpeg;
+pub use formats::jpeg::{encode_jpeg, write_jpeg};
 pub use formats::pfm::write_pfm;
 pub use formats::png::{write_gray_png, write_png8, write_png16};
 pub use formats::radiance::write_hdr;

@@ -114,6 +114,30 @@ impl TriMesh {
         let count = numbers.len();
         (weld, count)
     }
+
+    /// Positions and triangles alone: one vertex for each position (files split them at seams of texture), without vertices
+    /// that no triangle uses and without triangles of fewer than three corners.
+    pub fn compacted(&self) -> Self {
+        let (weld, positions) = self.weld();
+        let mut number = vec![u32::MAX; positions];
+        let mut out = Self::default();
+        for triangle in &self.indices {
+            let [a, b, c] = triangle.map(|i| weld[i as usize]);
+            if a == b || b == c || c == a {
+                continue;
+            }
+            let index = triangle.map(|i| {
+                let n = &mut number[weld[i as usize] as usize];
+                if *n == u32::MAX {
+                    *n = out.positions.len() as u32;
+                    out.positions.push(self.positions[i as usize]);
+                }
+                *n
+            });
+            out.indices.push(index);
+        }
+        out
+    }
 }
 
 fn is_degenerate(mesh: &TriMesh, face: usize) -> bool {

@@ -25,6 +25,8 @@ pub struct Shot<'a> {
     pub integrator: &'a dyn Integrator,
     /// Of the random numbers.
     pub seed: u64,
+    /// Number of the view, where one method takes several of a scene.
+    pub view: u32,
     camera: Camera,
     filter: FilterSampler,
     /// Upper left pixel of the part that is rendered, and the whole film's size.
@@ -78,6 +80,7 @@ impl<'a> Shot<'a> {
             world,
             integrator,
             seed,
+            view: 0,
             camera: Camera::new(sensor, full),
             filter: FilterSampler::new(&sensor.film.filter),
             window: (window.offset, window.size),

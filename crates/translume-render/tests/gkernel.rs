@@ -80,7 +80,7 @@ fn threads_do_not_matter_and_options_do() {
     };
     assert_eq!(with(1).rgb(), with(3).rgb());
     assert_ne!(kernel(&scene, &[("light-paths", "1000")], 2).rgb(), kernel(&scene, &[], 2).rgb());
-    for wrong in [[("printed", "maybe"), ("links", "0")], [("printed", "true"), ("unbiased", "true")]] {
+    for wrong in [[("printed", "maybe"), ("links", "5")], [("printed", "true"), ("unbiased", "true")]] {
         let wrong = wrong.map(|(name, value)| (name.to_owned(), value.to_owned()));
         assert!(integrator::with_options("gkernel", UNLIMITED, &wrong).is_err(), "{wrong:?}");
     }

@@ -12,6 +12,8 @@
 //! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
 //! | `simulate` | captures of slabs and solids of heterogeneous media |
 //! | `planar` | the exponential model of a flat sample, and its error |
+//! | `hierarchical` | the hierarchical model of an object: throughput between vertices, local kernels, detail |
+//! | `relight` | models of objects under new lights |
 //! | `vertex` | the exponential model of an object: a fall-off for each vertex |
 //! | `material` | fitted models as materials for renderers |
 //!
@@ -24,12 +26,14 @@ mod curve;
 mod diffusion;
 mod exponential;
 mod fit;
+pub mod hierarchical;
 mod lanes;
 mod lm;
 pub mod material;
 mod npy;
 pub mod planar;
 mod radial;
+pub mod relight;
 mod segments;
 pub mod simulate;
 pub mod vertex;

@@ -47,6 +47,15 @@ pub fn read_grid(path: &Path) -> Result<(std::sync::Arc<medium::Grid>, [glam::DV
     Ok((loaded.grid, [loaded.lo, loaded.hi]))
 }
 
+/// A Mitsuba `.vol` grid of `channels` (1 or 3) numbers a cell, x fastest, in the box between two corners.
+///
+/// # Panics
+/// Unless `values` has as many numbers as that.
+pub fn grid_bytes(size: [usize; 3], channels: usize, corners: [glam::DVec3; 2], values: &[f32]) -> Vec<u8> {
+    assert_eq!(values.len(), size.iter().product::<usize>() * channels);
+    vol::bytes(size, channels, corners, values)
+}
+
 /// Reads a scene: Mitsuba XML, glTF or pbrt-v4, told by its first character or its name.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! Cameras and films.
 
 use crate::MediumId;
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 /// A camera with its film.
 #[derive(Clone, Debug)]
@@ -22,6 +22,13 @@ pub struct Sensor {
     pub sample_count: Option<u32>,
     /// What the camera stands in.
     pub medium: Option<MediumId>,
+}
+
+/// A camera's place at `origin`, looking at `target`; `None` where `up` is along the view, or nothing is left of a direction.
+pub fn look_at(origin: DVec3, target: DVec3, up: DVec3) -> Option<DAffine3> {
+    let forward = (target - origin).try_normalize()?;
+    let left = up.cross(forward).try_normalize()?;
+    Some(DAffine3::from_cols(left, forward.cross(left), forward, origin))
 }
 
 /// How directions map to the film.

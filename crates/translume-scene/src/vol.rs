@@ -63,6 +63,16 @@ fn parse(bytes: &[u8]) -> std::result::Result<Loaded, String> {
     Ok(Loaded { grid: Arc::new(Grid { size: [x, y, z], channels, values }), lo, hi, bad })
 }
 
+/// The bytes of a grid of `channels` numbers a cell, x fastest, in a box.
+pub(crate) fn bytes(size: [usize; 3], channels: usize, [lo, hi]: [DVec3; 2], values: &[f32]) -> Vec<u8> {
+    let mut bytes = b"VOL\x03".to_vec();
+    let sizes = [1, size[0], size[1], size[2], channels];
+    bytes.extend(sizes.iter().flat_map(|&n| (n as i32).to_le_bytes()));
+    let corners = lo.as_vec3().to_array().into_iter().chain(hi.as_vec3().to_array());
+    bytes.extend(corners.chain(values.iter().copied()).flat_map(f32::to_le_bytes));
+    bytes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -79,6 +89,15 @@ mod tests {
         let loaded = parse(&file([2, 1, 1, 1], &[0.5, f32::NAN])).unwrap();
         assert_eq!((loaded.grid.values.as_slice(), loaded.bad), ([0.5, 0.0].as_slice(), 1));
         assert_eq!(loaded.lo, DVec3::splat(-1.0));
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let values: Vec<f32> = (0..24).map(|i| i as f32 / 8.0).collect();
+        let corners = [DVec3::new(-1.0, 0.0, 2.0), DVec3::new(3.0, 4.0, 5.5)];
+        let loaded = parse(&bytes([4, 2, 1], 3, corners, &values)).unwrap();
+        assert_eq!((loaded.grid.size, loaded.grid.channels, &loaded.grid.values), ([4, 2, 1], 3, &values));
+        assert_eq!([loaded.lo, loaded.hi], corners);
     }
 
     #[test]

@@ -25,6 +25,9 @@ fn the_page_is_whole_and_the_figures_are_good() {
     let error: Vec<f64> = (0..3).map(|i| json["figures"]["render"]["rel_mse"][i].as_f64().unwrap()).collect();
     assert!(error.windows(2).all(|e| e[1] < 0.5 * e[0]) && error[2] > 0.0, "{error:?}");
 
+    let lights = &json["figures"]["lights"]["rel_mse"];
+    assert!(["path", "bdpt", "photonmap", "gkernel"].iter().all(|m| lights[m].as_f64().unwrap() < 10.0), "{lights}");
+
     let field = &json["figures"]["field"]["psnr_db"];
     assert!(field["layers"].as_f64().unwrap() > field["log_pca"].as_f64().unwrap() + 2.0, "{field}");
     assert!([0, 2].iter().all(|i| hdr["end_point_error_px"][*i].as_f64().unwrap() < 0.5), "{hdr}");

@@ -228,6 +228,111 @@ fn bytes_and_psnr_decide_the_number_of_layers() {
 }
 
 #[test]
+fn scales_colour_and_planes_of_16_bits_can_be_chosen() {
+    let dir = tempfile::tempdir().unwrap();
+    stack(dir.path(), 20, "exr");
+    let compress = |options: &[&str]| {
+        translume(dir.path(), &[&["field", "compress", "stack", "-o", "f.glb", "--json"][..], options].concat())
+    };
+    let compared = || json(&translume(dir.path(), &["field", "compare", "stack", "f.glb", "--json"]).ok());
+    for (scale, kind) in [("root", "root"), ("log", "log"), ("display", "display"), ("pu21", "pu21")] {
+        let made = json(&compress(&["--scale", scale, "--terms", "8"]).ok());
+        assert_eq!(made["scale"]["kind"], kind);
+        assert!(compared()["psnr"].as_f64().unwrap() > 36.0, "{scale}");
+    }
+    assert_eq!(json(&compress(&["--scale", "log", "--delta", "0.05"]).ok())["scale"]["delta"], 0.05f32);
+    let made = json(&compress(&["--residual", "1"]).ok());
+    assert_eq!(
+        (&made["codecs"][12], &made["terms"], &made["bytes_per_texel"]),
+        (&"r16".into(), &13.into(), &8.0.into())
+    );
+    assert!(compared()["psnr"].as_f64().unwrap() > 36.0);
+    let made = json(&compress(&["--codec", "bc6h", "--terms", "6"]).ok());
+    assert_eq!((&made["codecs"][0], &made["bytes_per_texel"]), (&"bc6h".into(), &6.0.into()));
+    assert!(compared()["psnr"].as_f64().unwrap() > 36.0);
+    // Luminance is nearer to the pictures when colour counts for little, with few layers.
+    let luminance = |chroma: &str| {
+        compress(&["--terms", "2", "--codec", "bc4", "--chroma", chroma]).ok();
+        let truth = read_picture(&dir.path().join("stack/p 07.exr")).unwrap().pixels;
+        let [x, y, z] = lights(20)[7];
+        let light = format!("{x},{y},{z}");
+        translume(dir.path(), &["field", "relight", "f.glb", "--light", &light, "-o", "o.exr"]).ok();
+        let got = read_picture(&dir.path().join("o.exr")).unwrap().pixels;
+        let grey = |p: &image::Rgb<f32>| p.0.iter().sum::<f32>();
+        got.pixels().zip(truth.pixels()).map(|(a, b)| (grey(a) - grey(b)).powi(2)).sum::<f32>()
+    };
+    let (even, little) = (luminance("1"), luminance("0.1"));
+    assert!(little < even, "{little} {even}");
+    assert!(compress(&["--chroma", "0"]).error(1).contains("must be positive"));
+    assert!(compress(&["--residual", "4"]).error(1).contains("more than 16 terms"));
+    assert!(compress(&["--residual", "1", "--tiles", "adaptive"]).error(2).contains("tiles"));
+    assert!(compress(&["--scale", "pu21", "--delta", "0.1"]).error(2).contains("no logarithm"));
+    for option in [["--scale", "log"], ["--chroma", "0.5"], ["--residual", "1"]] {
+        let error = compress(&[&option[..], &["--model", "log-pca"]].concat()).error(2);
+        assert!(error.contains("only the model `layers`"), "{error}");
+    }
+}
+
+/// A BTF: each column of the matrix is a direction to the light and one to the camera.
+#[test]
+fn pictures_from_several_views_are_seen_from_between() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    std::fs::create_dir(here.join("btf")).unwrap();
+    let (w, h) = (24, 16);
+    let unit = |v: [f32; 3]| {
+        let length = v.iter().map(|x| x * x).sum::<f32>().sqrt();
+        v.map(|x| x / length)
+    };
+    // Matt threads with a broad gloss that moves with the camera.
+    let texels = |l: [f32; 3], v: [f32; 3]| {
+        let half = unit([l[0] + v[0], l[1] + v[1], l[2] + v[2]]);
+        Rgb32FImage::from_fn(w, h, |x, y| {
+            let n = unit([0.3 * (x as f32 * 0.8).sin(), 0.3 * (y as f32 * 0.7).cos(), 1.0]);
+            let dot = |a: [f32; 3]| (0..3).map(|c| a[c] * n[c]).sum::<f32>().max(0.0);
+            image::Rgb([0.5, 0.2, 0.1].map(|a| a * dot(l) + 0.6 * dot(half).powi(12) * dot(l)))
+        })
+    };
+    let from = |i: usize, n: usize, tilt: f32| {
+        let (sin, cos) = (std::f32::consts::TAU * i as f32 / n as f32).sin_cos();
+        unit([tilt * cos, tilt * sin, 1.0])
+    };
+    let mut list = String::from("file,x,y,z,vx,vy,vz\n");
+    for (i, l) in (0..9).map(|i| from(i, 8, if i < 8 { 0.9 } else { 0.0 })).enumerate() {
+        for (j, v) in (0..7).map(|j| from(j, 6, if j < 6 { 0.7 } else { 0.0 })).enumerate() {
+            let name = format!("l{i} v{j}.exr");
+            write_exr(&here.join("btf").join(&name), &Picture::new(texels(l, v)), &ExrOptions::default()).unwrap();
+            list += &format!("{name},{},{},{},{},{},{}\n", l[0], l[1], l[2], v[0], v[1], v[2]);
+        }
+    }
+    std::fs::write(here.join("btf/lights.csv"), &list).unwrap();
+    let run = |arguments: &[&str]| translume(here, arguments);
+    let made = json(&run(&["field", "compress", "btf", "-o", "b.glb", "--json"]).ok());
+    assert_eq!((&made["lights"], &made["several_views"]), (&63.into(), &true.into()));
+    let compared = json(&run(&["field", "compare", "btf", "b.glb", "--json"]).ok());
+    assert!(compared["own_lights"] == true && compared["psnr"].as_f64().unwrap() > 36.0, "{compared}");
+    assert!(run(&["field", "info", "b.glb"]).ok().contains("63 directions of light and view"));
+    // Between lights and views; the view along the normal is another picture.
+    let (l, v) = (unit([0.5, 0.2, 1.0]), unit([-0.4, -0.1, 1.0]));
+    let text = |d: [f32; 3]| format!("{},{},{}", d[0], d[1], d[2]);
+    run(&["field", "relight", "b.glb", "--light", &text(l), "--view", &text(v), "-o", "seen.exr"]).ok();
+    run(&["field", "relight", "b.glb", "--light", &text(l), "-o", "above.exr"]).ok();
+    let (seen, above) = (psnr(&here.join("seen.exr"), &texels(l, v)), psnr(&here.join("above.exr"), &texels(l, v)));
+    assert!(seen > 30.0 && seen > above + 6.0, "{seen:.1} dB, from above {above:.1} dB");
+    assert!(run(&["field", "compress", "btf", "-o", "p.glb", "--model", "ptm"]).error(1).contains("several views"));
+    // One view of it is a field like any other, and has no other views.
+    let one: String =
+        list.lines().filter(|line| !line.contains(" v") || line.contains(" v6")).map(|l| format!("{l}\n")).collect();
+    std::fs::write(here.join("btf/lights.csv"), one.replace("file,x,y,z,vx,vy,vz", "file,x,y,z")).unwrap();
+    assert!(run(&["field", "compress", "btf", "-o", "p.glb"]).error(1).contains("is not there"));
+    let short = |line: &str| line.split(',').take(4).collect::<Vec<_>>().join(",") + "\n";
+    std::fs::write(here.join("btf/lights.csv"), one.lines().map(short).collect::<String>()).unwrap();
+    run(&["field", "compress", "btf", "-o", "p.glb", "--terms", "4"]).ok();
+    let view = ["field", "relight", "p.glb", "--light", "0,0,1", "--view", "0,0,1", "-o", "o.exr"];
+    assert!(run(&view).error(2).contains("one view"));
+}
+
+#[test]
 fn a_stack_larger_than_its_memory_gives_nearly_the_same_field() {
     let dir = tempfile::tempdir().unwrap();
     stack(dir.path(), 12, "exr");
@@ -324,7 +429,7 @@ fn stacks_that_are_none_are_refused() {
     refused(here, &["--model", "log-pca", "--terms", "7"], 1, "7 terms: 6 pictures give at most 6");
     refused(here, &["--terms", "0"], 1, "no terms");
     refused(here, &["--model", "hsh"], 1, "6 lights do not determine the 9 terms");
-    refused(here, &["--model", "ptm", "--codec", "bc4"], 1, "three channels: bc1, bc7 or rgb8");
+    refused(here, &["--model", "ptm", "--codec", "bc4"], 1, "three channels: bc1, bc6h, bc7 or rgb8");
     refused(here, &["--model", "ptm", "--terms", "6"], 2, "fixed number of terms");
     refused(here, &["--model", "ptm", "--delta", "0.1"], 2, "no logarithm");
     refused(here, &["--delta", "-1"], 2, "positive");
@@ -421,7 +526,7 @@ fn planes_go_out_to_relightlab_and_come_back() {
 #[test]
 fn a_ball_gives_the_directions_of_the_lights() {
     let dir = tempfile::tempdir().unwrap();
-    let lights = lights(5);
+    let lights = lights(12);
     for (i, l) in lights.iter().enumerate() {
         let ball = Rgb32FImage::from_fn(64, 64, |x, y| {
             let (nx, ny) = ((x as f32 - 32.0) / 28.0, (32.0 - y as f32) / 28.0);
@@ -440,6 +545,28 @@ fn a_ball_gives_the_directions_of_the_lights() {
     }
     // The list is one that compress takes.
     run(&["field", "compress", ".", "-o", "f.glb", "--terms", "3"]).ok();
+    // The ball in other files, one of which has no partner; strengths in the list, by which compress divides.
+    std::fs::create_dir(dir.path().join("objects")).unwrap();
+    for i in 0..12 {
+        let mut object = read_picture(&dir.path().join(format!("b{i}.exr"))).unwrap().pixels;
+        object.pixels_mut().for_each(|p| p.0 = p.0.map(|v| v * (1.0 + i as f32 * 0.1)));
+        write(&dir.path().join(format!("objects/b{i}.exr")), object);
+    }
+    std::fs::copy(dir.path().join("b0.exr"), dir.path().join("without.exr")).unwrap();
+    let ball = ["field", "lights", ".", "--ball", "32,32,28", "--surface", "matt", "--pictures", "objects"];
+    let made = run(&[&ball[..], &["-o", "objects/lights.csv"]].concat());
+    assert!(made.stderr.contains("1 pictures have no partner"), "{}", made.stderr);
+    assert!(made.ok().contains("12 directions, strengths from 1.00 to 1.00"));
+    // From the object itself.
+    let own = ["field", "lights", "objects", "--lights", "objects/lights.csv", "--strengths", "--json", "-o"];
+    let found = json(&run(&[&own[..], &["objects/lights.csv"]].concat()).ok());
+    for i in 0..12 {
+        let (strength, truth) = (found["lights"][i]["strength"].as_f64().unwrap(), (1.0 + 0.1 * i as f64) / 1.55);
+        assert!((strength / truth - 1.0).abs() < 0.1, "{i}: {strength} for {truth}");
+    }
+    run(&["field", "compress", "objects", "-o", "o.glb", "--terms", "6"]).ok();
+    run(&["field", "relight", "o.glb", "--light", "0,0,1", "-o", "o.exr"]).ok();
+    assert!(run(&[&own[..], &["x.lp"]].concat()).error(2).contains(".csv"));
     let error = run(&["field", "lights", ".", "--ball", "500,32,28", "-o", "b.lp"]).error(1);
     assert!(error.contains("b0.exr: the ball at (500, 32)"), "{error}");
     assert!(run(&["field", "lights", ".", "--ball", "32,32", "-o", "b.lp"]).error(2).contains("x,y,r"));

@@ -82,3 +82,54 @@ fn gkernel_shares_samples_out_among_steps_and_resumes_to_the_bit() {
     assert_ne!(rgb("u.exr"), rgb("whole.exr"));
     assert!(unbiased("path").error(2).contains("gkernel"));
 }
+
+#[test]
+fn a_camera_path_reuses_light_paths() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("box.xml"), BOX).unwrap();
+    let path = r#"{"frames": 3, "keys": [{"origin": [3, -3, 2.5], "target": [0, 0, 0.3], "up": [0, 0, 1]},
+        {"origin": [3, 3, 2.5], "target": [0, 0, 0.3], "up": [0, 0, 1]}]}"#;
+    std::fs::write(dir.path().join("path.json"), path).unwrap();
+    let render = |more: &str| {
+        let line = format!("render box.xml --seed 3 --spp 4 --json {more}");
+        translume(dir.path(), &line.split(' ').collect::<Vec<_>>())
+    };
+    let rgb = |name: &str| translume_image::read_picture(&dir.path().join(name)).unwrap().pixels.into_raw();
+    // The first key is the scene's camera.
+    render("--integrator path -o one.exr").ok();
+    render("--integrator path -o walk.exr --camera-path path.json").ok();
+    assert_eq!(rgb("one.exr"), rgb("walk-0000.exr"));
+    assert_ne!(rgb("walk-0001.exr"), rgb("walk-0002.exr"));
+    let json: Value =
+        serde_json::from_str(&render("--integrator gkernel -o g.exr --camera-path path.json").ok()).unwrap();
+    let counts = &json["frames"][2]["counts"];
+    assert_eq!((counts["steps"].as_u64(), counts["steps_reused"].as_u64()), (Some(12), Some(8)), "{counts}");
+    let mean = |name: &str| rgb(name).iter().sum::<f32>() / rgb(name).len() as f32;
+    let (ours, path) = (mean("g-0002.exr"), mean("walk-0002.exr"));
+    assert!((ours / path - 1.0).abs() < 0.15, "{ours} and {path}");
+
+    std::fs::write(dir.path().join("bad.json"), r#"{"keys": [{"origin": [0, 0, 0], "target": [0, 0, 0]}]}"#).unwrap();
+    assert!(render("-o b.exr --camera-path bad.json").error(1).contains("frame 0"));
+    std::fs::write(dir.path().join("bad.json"), r#"{"keys": [{"origin": [0, 0]}]}"#).unwrap();
+    assert!(render("-o b.exr --camera-path bad.json").error(1).contains("bad.json"));
+    assert!(render("-o b.exr --camera-path path.json --checkpoint c.tlck").error(2).contains("--camera-path"));
+}
+
+#[test]
+fn denoising_comes_nearer_to_the_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("box.xml"), BOX).unwrap();
+    let run = |line: &str| translume(dir.path(), &line.split(' ').collect::<Vec<_>>());
+    run("render box.xml -o truth.exr --spp 1024 --integrator bdpt --size 48x32").ok();
+    run("render box.xml -o noisy.exr --spp 8 --integrator bdpt --size 48x32 --denoise clean.exr").ok();
+    let rgb = |name: &str| translume_image::read_picture(&dir.path().join(name)).unwrap().pixels.into_raw();
+    let error = |name: &str| {
+        let differ = |(a, b): (&f32, &f32)| ((a - b) / (b + 0.05)).powi(2);
+        rgb(name).iter().zip(&rgb("truth.exr")).map(differ).sum::<f32>()
+    };
+    assert!(error("clean.exr") < 0.5 * error("noisy.exr"), "{} of {}", error("clean.exr"), error("noisy.exr"));
+    run("image denoise noisy.exr -o again.exr").ok();
+    assert_eq!(rgb("again.exr"), rgb("clean.exr"));
+    assert!(run("image denoise truth.exr -o no.exr").error(1).contains("variance"));
+    assert!(run("image denoise noisy.exr -o no.png").error(2).contains(".exr"));
+}

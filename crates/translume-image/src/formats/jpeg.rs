@@ -59,18 +59,26 @@ fn reaches_end(file: &[u8]) -> bool {
 /// Writes 8-bit sRGB, `3 * width * height` values, at a `quality` of 1 to 100, colour at full resolution.
 ///
 /// # Errors
-/// [`Error::Mismatch`] when `rgb` has another length; [`Error::Unsupported`] beyond 65535 pixels a side; [`Error::Io`].
-pub fn write_jpeg(path: &Path, (width, height): (usize, usize), rgb: &[u8], quality: u8) -> Result<()> {
+/// As [`encode_jpeg`], with the file's name; [`Error::Io`].
+pub fn write_jpeg(path: &Path, size: (usize, usize), rgb: &[u8], quality: u8) -> Result<()> {
+    let named = |e| Error::Mismatch(format!("{}: {e}", path.display()));
+    atomic::write_bytes(path, &encode_jpeg(size, rgb, quality).map_err(named)?)
+}
+
+/// The bytes of such a file.
+///
+/// # Errors
+/// [`Error::Mismatch`] when `rgb` has another length than `3 * width * height`, or beyond 65535 pixels a side.
+pub fn encode_jpeg((width, height): (usize, usize), rgb: &[u8], quality: u8) -> Result<Vec<u8>> {
     if rgb.len() != 3 * width * height {
-        return Err(Error::Mismatch(format!("{}: {} values for {width} × {height} pixels", path.display(), rgb.len())));
+        return Err(Error::Mismatch(format!("{} values for {width} × {height} pixels", rgb.len())));
     }
     let (Ok(w), Ok(h)) = (u16::try_from(width), u16::try_from(height)) else {
-        return Err(Error::unsupported(path, format!("{width} × {height} pixels: JPEG holds 65535 a side")));
+        return Err(Error::Mismatch(format!("{width} × {height} pixels: JPEG holds 65535 a side")));
     };
-    atomic::write(path, |f| {
-        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(f, quality.clamp(1, 100));
-        encoder
-            .write_image(rgb, u32::from(w), u32::from(h), image::ExtendedColorType::Rgb8)
-            .map_err(|e| Error::io(path, std::io::Error::other(e)))
-    })
+    let mut out = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
+        .write_image(rgb, u32::from(w), u32::from(h), image::ExtendedColorType::Rgb8)
+        .map_err(|e| Error::Mismatch(format!("{width} × {height} pixels: {e}")))?;
+    Ok(out)
 }

@@ -130,6 +130,9 @@ pub trait Integrator: Send + Sync {
     /// Called when a render begins, before the first sample: what is computed once for a picture.
     fn prepare(&self, _world: &World, _seed: u64) {}
 
+    /// Called before the first of several views of one scene: what serves all of them may be kept.
+    fn prepare_views(&self, _shots: &[Shot]) {}
+
     /// Names of the parts that [`Work::tally`] counts: of the number `part`.
     fn part(&self, part: usize) -> String {
         part.to_string()

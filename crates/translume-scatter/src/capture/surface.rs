@@ -48,6 +48,22 @@ impl Surface {
         Some(Place { at, normal: point.ng, face: hit.prim, uv, distance: f64::from(hit.t), inside })
     }
 
+    /// The first triangle on a ray, with the barycentric coordinates of its second and third corner there.
+    pub fn first_hit(&self, ray: &Ray) -> Option<(u32, [f32; 2])> {
+        self.geometry.intersect(ray).map(|hit| (hit.prim, [hit.u, hit.v]))
+    }
+
+    /// Whether anything lies on a ray.
+    pub fn occluded(&self, ray: &Ray) -> bool {
+        self.geometry.occluded(ray)
+    }
+
+    /// Largest coordinate of the box around it.
+    pub(crate) fn extent(&self) -> Vec3 {
+        let bounds = self.geometry.bounds();
+        bounds.lo.abs().max(bounds.hi.abs())
+    }
+
     /// What a camera sees at a place of its frame, and the cosine to the line of sight; `None` beside the object and where
     /// the back of a triangle is seen.
     pub fn seen(&self, camera: &Camera, px: [f64; 2]) -> Option<(Place, f64)> {

@@ -6,6 +6,7 @@
 //! a frame whose file is missing was not captured.
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use half::{f16, slice::HalfFloatSliceExt};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
@@ -142,7 +143,12 @@ impl Frames {
             return Err(Error::invalid(&path, format!("{what}: a frame has {length} bytes; remove or replace it")));
         }
         Ok(Some(match self.half {
-            true => bytes.chunks_exact(2).map(|b| half::f16::from_le_bytes([b[0], b[1]]).to_f32()).collect(),
+            true => {
+                let halves: Vec<f16> = bytes.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+                let mut values = vec![0.0; halves.len()];
+                halves.convert_to_f32_slice(&mut values);
+                values
+            }
             false => bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect(),
         }))
     }

@@ -61,6 +61,12 @@ impl Medium {
         Self::new([1, 1, layers.len()], cell_mm, |p| layers[(p[2] / cell_mm) as usize])
     }
 
+    /// Numbers of cells, lowest and highest corner in mm, and the cells, x fastest.
+    pub fn cells(&self) -> ([usize; 3], [[f64; 3]; 2], &[Local]) {
+        let high = [0, 1, 2].map(|i| self.origin[i] + self.size[i] as f64 * self.cell_mm);
+        (self.size, [self.origin, high], &self.cells)
+    }
+
     #[inline]
     pub(crate) fn at(&self, p: [f64; 3]) -> Local {
         let cell = |axis: usize| ((p[axis] - self.origin[axis]) / self.cell_mm).floor() as i64;

@@ -356,10 +356,7 @@ fn look_at(step: &Element) -> Result<DAffine3> {
         Some(_) => vector("up")?,
         None => forward.any_orthogonal_vector(),
     };
-    let Some(left) = up.cross(forward).try_normalize() else {
-        return Err(place.invalid("<lookat>: up is zero or along the view"));
-    };
-    Ok(DAffine3::from_cols(left, forward.cross(left), forward, origin))
+    crate::sensor::look_at(origin, target, up).ok_or_else(|| place.invalid("<lookat>: up is zero or along the view"))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! `fn run(args: Args, ctx: &Context) -> anyhow::Result<()>`. A new verb is that module, a variant of [`Verb`] and an
 //! arm of [`Verb::run`]; help, completions, man pages and `--config` follow from them.
 
+mod camera_path;
 mod capture;
 mod compare;
 mod completions;

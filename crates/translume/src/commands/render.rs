@@ -1,12 +1,13 @@
 //! `translume render`: a scene becomes a picture.
 
+use super::camera_path;
 use crate::cli::Usage;
 use crate::output::{self, Context};
 use anyhow::{Context as _, anyhow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use translume_image::colour::linear_to_srgb;
 use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
@@ -16,6 +17,7 @@ use translume_render::integrator::{self, INTEGRATORS, Integrator, Settings};
 use translume_render::render::{Progress, Shot, Until};
 use translume_render::{World, fingerprint};
 use translume_scene::Scene;
+use translume_scene::sensor::Sensor;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -39,6 +41,9 @@ Examples:
 
   A quick look, without noise:
     translume render scene.xml -o noisy.exr --spp 16 --denoise clean.exr
+
+  A walk through a scene with many lights (docs/examples/camera-path.json is such a file):
+    translume render scene.xml -o walk.exr --integrator gkernel --spp 16 --camera-path walk.json
 
   In two evenings:
     translume render scene.xml -o out.exr --time 3h --checkpoint out.tlck
@@ -97,6 +102,9 @@ pub(crate) struct Args {
     /// Write the picture without noise here, .exr; adds the feature images that this takes
     #[arg(long, value_name = "OUT.exr")]
     denoise: Option<PathBuf>,
+    /// Take a picture from each place of this path (JSON), OUT-0000.exr and so on; gkernel keeps its light paths
+    #[arg(long, value_name = "PATH.json")]
+    camera_path: Option<PathBuf>,
     /// Keep a picture of how it goes here, .png
     #[arg(long, value_name = "OUT.png")]
     preview: Option<PathBuf>,
@@ -164,11 +172,10 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let integrator =
         integrator::with_options(&name, settings, &method_options).map_err(|e| Usage(format!("--option: {e}")))?;
     integrator.check(&world).with_context(|| args.scene.display().to_string())?;
-    let shot = Shot::new(&world, &*integrator, sensor, args.size, args.seed);
+    let shots = shots(&args, &world, &*integrator, sensor)?;
     let denoising = args.denoise.as_ref().map_or(&[][..], |_| &["albedo", "normal", "depth", "variance"]);
     let wanted = |name: &str| args.aov.iter().any(|a| a == name) || denoising.contains(&name);
     let aovs: Vec<Aov> = Aov::NAMED.iter().filter(|n| wanted(n.0)).map(|n| n.1).collect();
-    let mut film = shot.film(&aovs)?;
     let asked = args.spp.or(args.steps).or(if args.time.is_some() {
         None
     } else {
@@ -179,13 +186,52 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {method_options:?}")),
         seed: args.seed,
     };
-    if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
-        checkpoint::read(path, &mut film, &identity)?;
-        ctx.note(format!("going on from {} samples per pixel", film.samples().0));
+    if shots.len() > 1 {
+        integrator.prepare_views(&shots);
     }
-    let reporter = Reporter { args: &args, ctx, identity };
-    let progress = reporter.watch(&shot, &mut film, &until)?;
-    reporter.finish(&film, &name, &progress, loaded, told(&*integrator, &shot, &progress))
+    let stop = output::stop_on_ctrl_c()?;
+    let mut frames = Vec::new();
+    for (number, shot) in shots.iter().enumerate() {
+        let mut film = shot.film(&aovs)?;
+        if let Some(path) = args.checkpoint.as_ref().filter(|p| args.resume && p.exists()) {
+            checkpoint::read(path, &mut film, &identity)?;
+            ctx.note(format!("going on from {} samples per pixel", film.samples().0));
+        }
+        let name_of = |path: &PathBuf| match args.camera_path {
+            Some(_) => camera_path::frame_name(path, number),
+            None => path.clone(),
+        };
+        let (output, denoised) = (name_of(&args.output), args.denoise.as_ref().map(name_of));
+        let reporter = Reporter { args: &args, ctx, identity, output, denoised, stop: stop.clone() };
+        let progress = reporter.watch(shot, &mut film, &until)?;
+        frames.push(reporter.finish(&film, &name, &progress, loaded, told(&*integrator, shot, &progress))?);
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+    }
+    ctx.emit_json(match args.camera_path {
+        Some(_) => json!({ "frames": frames }),
+        None => frames.swap_remove(0),
+    })
+}
+
+/// The views: the scene's camera, or along `--camera-path`.
+fn shots<'a>(
+    args: &Args,
+    world: &'a World,
+    integrator: &'a dyn Integrator,
+    sensor: &Sensor,
+) -> anyhow::Result<Vec<Shot<'a>>> {
+    let sensors = match &args.camera_path {
+        Some(path) => camera_path::read(path, sensor)?,
+        None => vec![sensor.clone()],
+    };
+    let shot = |(number, sensor): (usize, &Sensor)| {
+        let mut shot = Shot::new(world, integrator, sensor, args.size, args.seed);
+        shot.view = number as u32;
+        shot
+    };
+    Ok(sensors.iter().enumerate().map(shot).collect())
 }
 
 /// The options of the method, with what flags say: the camera paths that `--steps` leaves to each light pass.
@@ -229,6 +275,9 @@ fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value 
 
 /// Before hours of work: outputs are of the kinds that are written, and can be.
 fn check_outputs(args: &Args) -> anyhow::Result<()> {
+    if args.camera_path.is_some() {
+        camera_path::check(args.checkpoint.is_some())?;
+    }
     let outputs = [
         (Some(&args.output), "picture", "exr"),
         (args.denoise.as_ref(), "clean picture", "exr"),
@@ -273,6 +322,9 @@ struct Reporter<'a> {
     args: &'a Args,
     ctx: &'a Context,
     identity: Identity,
+    output: PathBuf,
+    denoised: Option<PathBuf>,
+    stop: Arc<AtomicBool>,
 }
 
 const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(60);
@@ -280,10 +332,10 @@ const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(60);
 impl Reporter<'_> {
     /// Renders, with progress, previews and checkpoints, until done or interrupted.
     fn watch(&self, shot: &Shot, film: &mut Film, until: &Until) -> anyhow::Result<Progress> {
-        let stop = output::stop_on_ctrl_c()?;
+        let stop = &self.stop;
         let bar = self.ctx.progress(1000, "rendering");
         let (mut saved, mut failure) = (Instant::now(), None);
-        let progress = shot.render(film, until, &stop, &mut |film, progress| {
+        let progress = shot.render(film, until, stop, &mut |film, progress| {
             bar.set_position((progress.fraction * 1000.0) as u64);
             bar.set_message(tell(progress));
             let mut written = Ok(());
@@ -329,7 +381,7 @@ impl Reporter<'_> {
         let channels = film.channels();
         let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, &values[..])).collect();
         let size = film.size().map(|s| s as usize);
-        Ok(write_exr_channels(&self.args.output, (size[0], size[1]), &channels, &options)?)
+        Ok(write_exr_channels(&self.output, (size[0], size[1]), &channels, &options)?)
     }
 
     fn finish(
@@ -339,10 +391,10 @@ impl Reporter<'_> {
         progress: &Progress,
         loaded: Duration,
         told: Value,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Value> {
         self.picture(film)?;
         self.save(film)?;
-        if let Some(path) = &self.args.denoise {
+        if let Some(path) = &self.denoised {
             let channels = film.channels();
             let channels: Vec<(&str, &[f32])> = channels.iter().map(|(name, values)| (*name, &values[..])).collect();
             let [w, h] = film.size().map(|s| s as usize);
@@ -352,9 +404,9 @@ impl Reporter<'_> {
             self.ctx.warn(format!("{} samples were not finite and count as black", film.broken()));
         }
         let seconds = progress.elapsed.as_secs_f64();
-        self.ctx.note(format!("{}: {}", self.args.output.display(), tell(progress)));
-        self.ctx.emit_json(json!({
-            "output": self.args.output.to_string_lossy(),
+        self.ctx.note(format!("{}: {}", self.output.display(), tell(progress)));
+        Ok(json!({
+            "output": self.output.to_string_lossy(),
             "integrator": integrator,
             "size": film.size(),
             "seed": self.args.seed,

@@ -34,12 +34,12 @@ pub(crate) struct Method {
 
 /// The options, in the order of the table in the docs.
 pub(crate) const OPTIONS: [Choice; 12] = [
-    Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: half as many as pixels" },
+    Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: a quarter as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
         name: "links",
-        default: "10",
-        about: "unoccluded links that a camera path (printed: each vertex) should get",
+        default: "0",
+        about: "unoccluded links of a camera path; 0: 5, with target=false 10 of each vertex",
     },
     Choice {
         name: "printed",

@@ -38,18 +38,19 @@ use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
 use method::Method;
 pub(crate) use method::OPTIONS;
-use pilot::Pilot;
+use pilot::{Outlook, Pilot};
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use weight::{Way, Weighing};
 
 /// See the module.
 pub struct GKernel {
     settings: Settings,
-    /// Light paths of a step; 0: half as many as pixels, at least [`FEWEST_PATHS`].
+    /// Light paths of a step; 0: a quarter as many as pixels, at least [`FEWEST_PATHS`].
     light_paths: u32,
     /// Camera paths of a pixel in each step.
     eye_paths: u64,
@@ -57,14 +58,25 @@ pub struct GKernel {
     links: f32,
     method: Method,
     pilot: OnceLock<Pilot>,
+    /// Of the view that is being taken.
+    outlook: Mutex<Option<Arc<Outlook>>>,
+    /// Light paths by their step; kept where several views want them.
+    kept: Mutex<HashMap<u64, Arc<Traced>>>,
+    keep: AtomicBool,
     counts: Counts,
 }
+
+/// Unoccluded links that a camera path gets unless the user says otherwise.
+const LINKS: f32 = 5.0;
+
+/// The paper's M, of each vertex.
+const PRINTED_LINKS: f32 = 10.0;
 
 /// Most trial links over the unoccluded links that are wanted.
 const MOST_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
-const FEWEST_PATHS: u32 = 10_000;
+const FEWEST_PATHS: u32 = 5_000;
 const MOST_PATHS: u32 = 1_000_000;
 
 /// Radius of photons that are merged, over the scene's.
@@ -79,10 +91,21 @@ const BLOCK: usize = 1 << 15;
 /// Exponent of progressive photon mapping: h² falls as steps^(α − 1).
 const ALPHA: f32 = 2.0 / 3.0;
 
+/// The light paths of a step.
+struct Traced {
+    lights: LightPaths,
+    briefs: Vec<Brief>,
+}
+
+/// Most light vertices that are kept for further views: about 2 GiB of them.
+const MOST_KEPT: usize = 9_000_000;
+
 /// What was done, for `--json`.
 #[derive(Default)]
 struct Counts {
     steps: AtomicU64,
+    reused: AtomicU64,
+    camera_paths: AtomicU64,
     light_vertices: AtomicU64,
     eye_vertices: AtomicU64,
     candidates: AtomicU64,
@@ -106,13 +129,22 @@ impl GKernel {
     pub fn new(settings: Settings, options: &Options) -> Result<Self> {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
+        let method = Method::new(options)?;
+        let links = match (options.number("links", 0..=1000)?, method.target) {
+            (0, true) => LINKS,
+            (0, false) => PRINTED_LINKS,
+            (n, _) => n as f32,
+        };
         Ok(Self {
             settings,
             light_paths,
             eye_paths,
-            links: options.number("links", 1..=1000)? as f32,
-            method: Method::new(options)?,
+            links,
+            method,
             pilot: OnceLock::new(),
+            outlook: Mutex::default(),
+            kept: Mutex::default(),
+            keep: AtomicBool::new(false),
             counts: Counts::default(),
         })
     }
@@ -141,7 +173,7 @@ impl GKernel {
 
     fn light_paths(&self, shot: &Shot) -> u32 {
         let [w, h] = shot.size();
-        if self.light_paths > 0 { self.light_paths } else { (w * h / 2).clamp(FEWEST_PATHS, MOST_PATHS) }
+        if self.light_paths > 0 { self.light_paths } else { (w * h / 4).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
     fn request<'a>(
@@ -224,6 +256,33 @@ impl GKernel {
         v.gain * cos_y * luminance(eye.throughput) * (linker.likely_weight(v, eye) + 0.02)
     }
 
+    /// What the pilot found about this view.
+    fn outlook(&self, shot: &Shot, pilot: &Pilot) -> Arc<Outlook> {
+        let mut known = self.outlook.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*known {
+            Some(outlook) if outlook.view == shot.view => outlook.clone(),
+            _ => known.insert(Arc::new(self.look(shot, pilot))).clone(),
+        }
+    }
+
+    /// The light paths of a step, and the rays that they took now.
+    fn traced(&self, request: &Request) -> (Arc<Traced>, u64) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(traced) = kept.get(&request.step) {
+            self.counts.reused.fetch_add(1, Ordering::Relaxed);
+            return (traced.clone(), 0);
+        }
+        let lights = LightPaths::trace(request);
+        let briefs = lights.vertices.iter().map(Brief::new).collect();
+        let rays = lights.rays;
+        let traced = Arc::new(Traced { lights, briefs });
+        let stored: usize = kept.values().map(|t| t.briefs.len()).sum();
+        if self.keep.load(Ordering::Relaxed) && stored + traced.briefs.len() <= MOST_KEPT {
+            kept.insert(request.step, traced.clone());
+        }
+        (traced, rays)
+    }
+
     /// One block of tiles: one camera path more for each pixel.
     fn block(
         &self,
@@ -232,7 +291,7 @@ impl GKernel {
         aovs: &[crate::film::Aov],
         (first_tile, sample): (usize, u64),
         (linker, briefs): (&Linker, &[Brief]),
-        pilot: &Pilot,
+        outlook: &Outlook,
     ) -> u64 {
         let mut parts: Vec<Block> = tiles
             .par_iter_mut()
@@ -249,7 +308,7 @@ impl GKernel {
             let base = radiance.len() as u32;
             radiance.append(&mut part.radiance);
             for eye in part.eyes.drain(..) {
-                wanted.push(pilot.trials(self.links, first_tile + t, eye.depth));
+                wanted.push(outlook.trials(self.links, first_tile + t, eye.depth));
                 eyes.push(EyeVertex { path: eye.path + base, ..eye });
             }
             rays += part.rays;
@@ -264,6 +323,8 @@ impl GKernel {
             unoccluded += u64::from(score.visible);
             rays += score.rays;
         }
+        let c = &self.counts;
+        c.camera_paths.fetch_add(radiance.len() as u64, Ordering::Relaxed);
         let mut values = radiance.into_iter();
         for tile in tiles {
             for i in 0..tile.sums.len() {
@@ -271,7 +332,6 @@ impl GKernel {
             }
             tile.samples += 1;
         }
-        let c = &self.counts;
         c.eye_vertices.fetch_add(eyes.len() as u64, Ordering::Relaxed);
         c.candidates.fetch_add(candidates.len() as u64, Ordering::Relaxed);
         c.requested.fetch_add(links.len() as u64, Ordering::Relaxed);
@@ -285,24 +345,32 @@ impl Integrator for GKernel {
         self.settings.without_media("gkernel", world)
     }
 
+    /// One pilot for all views; light paths are kept.
+    fn prepare_views(&self, shots: &[Shot]) {
+        self.keep.store(true, Ordering::Relaxed);
+        if !shots.is_empty() {
+            self.pilot.get_or_init(|| self.fly_pilot(&shots.iter().collect::<Vec<_>>()));
+        }
+    }
+
     /// A step, or the rest of one.
     fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &dyn Fn() -> bool) -> Option<u64> {
-        let pilot = self.pilot.get_or_init(|| self.fly_pilot(shot, film));
+        let pilot = self.pilot.get_or_init(|| self.fly_pilot(&[shot]));
+        let outlook = self.outlook(shot, pilot);
         let first = film.samples().0;
         let step = first / self.eye_paths;
         let bandwidth = self.bandwidth(shot.world, step, pilot.h);
         let weighing = self.weighing(pilot.scale, &bandwidth, self.light_paths(shot));
         let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
-        let lights = LightPaths::trace(&request);
-        let briefs: Vec<Brief> = lights.vertices.iter().map(Brief::new).collect();
-        let mut rays = lights.rays;
+        let (traced, mut rays) = self.traced(&request);
+        let Traced { lights, briefs } = &*traced;
         let aovs = film.aovs().to_vec();
         let whole = film.tiles.len();
         let tiles_at_once = (BLOCK / (crate::film::TILE * crate::film::TILE) as usize).max(1);
         let end = (step + 1) * self.eye_paths;
         'step: for sample in first..end {
             // Links are drawn anew for every camera path, as if it had a step of its own.
-            let linker = self.linker(&request, &lights, sample);
+            let linker = self.linker(&request, lights, sample);
             for first_tile in (0..whole).step_by(tiles_at_once) {
                 if stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
                     break 'step;
@@ -310,7 +378,7 @@ impl Integrator for GKernel {
                 let tiles = &mut film.tiles[first_tile..(first_tile + tiles_at_once).min(whole)];
                 // After an interruption some blocks are a sample ahead.
                 if tiles.iter().all(|t| t.samples == sample) {
-                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), (&linker, &briefs), pilot);
+                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), (&linker, briefs), &outlook);
                 }
             }
         }
@@ -327,12 +395,15 @@ impl Integrator for GKernel {
         vec![
             ("h", self.pilot.get().map_or(0.0, |c| c.h[0].into())),
             ("steps", of(&c.steps)),
+            ("steps_reused", of(&c.reused)),
             ("light_vertices", of(&c.light_vertices)),
             ("bytes_per_light_vertex", size_of::<LightVertex>() as f64),
+            ("camera_paths", of(&c.camera_paths)),
             ("eye_vertices", eyes),
             ("candidates_per_eye_vertex", of(&c.candidates) / eyes),
             ("requested_per_eye_vertex", requested / eyes),
             ("unoccluded_per_eye_vertex", of(&c.unoccluded) / eyes),
+            ("unoccluded_per_camera_path", of(&c.unoccluded) / of(&c.camera_paths).max(1.0)),
             ("mean_visibility", of(&c.unoccluded) / requested.max(1.0)),
         ]
     }

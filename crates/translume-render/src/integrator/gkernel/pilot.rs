@@ -21,17 +21,25 @@ use std::f32::consts::PI;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
 
-/// What a pilot found.
+/// What a pilot found, for all views of a scene.
 pub(crate) struct Pilot {
     pub(crate) h: [f32; 2],
     /// c of the weights.
     pub(crate) scale: f32,
     /// Where light paths begin.
     pub(crate) starts: Starts,
-    /// Share of trial links that are unoccluded: per tile, and of vertices that choose alone, beyond the first, per depth.
+}
+
+/// Share of trial links that are unoccluded in a view: per tile, and of vertices that choose alone, beyond the first, per depth.
+pub(crate) struct Outlook {
+    /// [`Shot::view`].
+    pub(crate) view: u32,
     tiles: Vec<f32>,
     depths: [f32; DEPTHS],
 }
+
+/// Views that the pilot looks at, at most.
+const VIEWS: usize = 8;
 
 /// The pilot's step.
 const STEP: u64 = 1 << 30;
@@ -51,7 +59,7 @@ const LAMPS: usize = 4;
 /// Part of the light paths that begin by what was learnt.
 const LEARNT: f32 = 0.8;
 
-impl Pilot {
+impl Outlook {
     /// Trial links that a vertex of this depth, or a path in this tile, asks for to get `links` that are unoccluded.
     pub(crate) fn trials(&self, links: f32, tile: usize, depth: u32) -> f32 {
         let seen = if depth == 0 { self.tiles[tile] } else { self.depths[(depth as usize).min(DEPTHS - 1)] };
@@ -60,18 +68,17 @@ impl Pilot {
 }
 
 impl GKernel {
-    pub(super) fn fly_pilot(&self, shot: &Shot, film: &Film) -> Pilot {
-        let lights = shot.world.lights();
-        let flock = self.flock(shot, film, (self.weighed(shot, [FIRST_H; 2], 1.0), lights.by_power()));
+    pub(super) fn fly_pilot(&self, shots: &[&Shot]) -> Pilot {
+        let lights = shots[0].world.lights();
+        let weighed = (self.weighed(shots[0], [FIRST_H; 2], 1.0), lights.by_power());
+        let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, weighed));
+        let flock = views.reduce(Flock::join).unwrap_or_default();
         let starts = match self.method.importance {
-            true => lights.starts_by(&flock.brought(shot), LEARNT),
+            true => lights.starts_by(&flock.brought(shots[0]), LEARNT),
             false => lights.by_power().clone(),
         };
-        let (h, scale) = self.calibrate(shot, &flock, &starts);
-        // The camera's vertices are the same again, now with the weights that links take.
-        let flock = self.flock(shot, film, (self.weighed(shot, h, scale), &starts));
-        let (tiles, depths) = self.try_links(shot, &flock, (h, scale), &starts);
-        Pilot { h, scale, starts, tiles, depths }
+        let (h, scale) = self.calibrate(shots[0], &flock, &starts);
+        Pilot { h, scale, starts }
     }
 
     fn weighed(&self, shot: &Shot, h: [f32; 2], scale: f32) -> Weighing {
@@ -79,10 +86,12 @@ impl GKernel {
     }
 
     /// The pilot's camera paths.
-    fn flock<'a>(&self, shot: &Shot<'a>, film: &Film, path: (Weighing, &'a Starts)) -> Flock<'a> {
+    fn flock<'a>(&self, shot: &Shot<'a>, path: (Weighing, &'a Starts)) -> Flock<'a> {
+        // Only for its tiles.
+        let Ok(Film { tiles, .. }) = shot.film(&[]) else { return Flock::default() };
         let block = |t| self.eyes(shot, path, t, STEP, |i| i % SPARSE == 5);
-        let blocks: Vec<Block> = film.tiles.par_iter().map(block).collect();
-        let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: film.tiles.len() };
+        let blocks: Vec<Block> = tiles.par_iter().map(block).collect();
+        let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: tiles.len() };
         let mut paths = 0;
         for (t, block) in blocks.into_iter().enumerate() {
             flock.tile_of.extend(std::iter::repeat_n(t, block.eyes.len()));
@@ -113,16 +122,13 @@ impl GKernel {
         (h, if self.method.weights { scale } else { scale * lights.typical_area() })
     }
 
-    /// Finds how many links are occluded.
-    fn try_links(
-        &self,
-        shot: &Shot,
-        flock: &Flock,
-        (h, scale): ([f32; 2], f32),
-        starts: &Starts,
-    ) -> (Vec<f32>, [f32; DEPTHS]) {
-        let bandwidth = self.bandwidth(shot.world, 0, h);
-        let request = self.request(shot, STEP, bandwidth, (self.weighed(shot, h, scale), starts));
+    /// Finds how many links are occluded in a view.
+    pub(super) fn look(&self, shot: &Shot, pilot: &Pilot) -> Outlook {
+        let bandwidth = self.bandwidth(shot.world, 0, pilot.h);
+        // The camera's vertices with the weights that links take.
+        let path = (self.weighed(shot, pilot.h, pilot.scale), &pilot.starts);
+        let flock = self.flock(shot, path);
+        let request = self.request(shot, STEP, bandwidth, path);
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;
@@ -142,11 +148,13 @@ impl GKernel {
             }
             add(&mut depths[(eye.depth as usize).min(DEPTHS - 1)]);
         }
-        (tiles.iter().map(|(a, b)| a / b).collect(), depths.map(|(a, b)| a / b))
+        let tiles = tiles.iter().map(|(a, b)| a / b).collect();
+        Outlook { view: shot.view, tiles, depths: depths.map(|(a, b)| a / b) }
     }
 }
 
 /// Camera vertices of the pilot, and the tiles that they belong to.
+#[derive(Default)]
 struct Flock<'a> {
     eyes: Vec<EyeVertex<'a>>,
     tile_of: Vec<usize>,
@@ -154,6 +162,13 @@ struct Flock<'a> {
 }
 
 impl Flock<'_> {
+    fn join(mut self, other: Self) -> Self {
+        self.eyes.extend(other.eyes);
+        self.tile_of.extend(other.tile_of.iter().map(|t| t + self.tiles));
+        self.tiles += other.tiles;
+        self
+    }
+
     /// What each light brings to the picture through these vertices, relative to the brightness of its tile: by emitter
     /// sampling, which finds the lights that are seen among thousands that are not.
     fn brought(&self, shot: &Shot) -> Vec<f32> {

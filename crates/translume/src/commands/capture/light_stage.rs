@@ -199,7 +199,7 @@ impl<'a> Stage<'a> {
         } else if let Some(i) = (0..self.lights.len()).find(|i| there(i)) {
             bail!("{}: a picture of an unknown stack: give another folder", self.path(i).display());
         }
-        let shot = |(i, l): (usize, &Vec3)| lights::Shot { path: self.path(i), light: l.to_array() };
+        let shot = |(i, l): (usize, &Vec3)| lights::Shot::new(self.path(i), l.to_array());
         let shots: Vec<lights::Shot> = self.lights.iter().enumerate().map(shot).collect();
         atomic::write_bytes(&self.args.output.join("lights.lp"), lights::to_lp(&shots, &self.args.output).as_bytes())?;
         atomic::write_bytes(&note, (serde_json::to_string_pretty(&self.record)? + "\n").as_bytes())?;

@@ -42,7 +42,7 @@ pub(super) fn chapter(dir: &Path, ctx: &Context) -> anyhow::Result<Part> {
     }
     let path = folder.join("scene.glb");
     let ours = &fields[2];
-    file::write(&path, ours, &ctx.command_line)?;
+    file::write(&path, ours, &ctx.command_line, None)?;
     let bytes = std::fs::metadata(&path)?.len();
     let mut pictures = Vec::new();
     for (i, direction) in BETWEEN.iter().enumerate() {

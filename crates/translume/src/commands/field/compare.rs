@@ -90,7 +90,7 @@ fn source_bytes(stack: &Stack) -> u64 {
 /// Light of picture `i` as the field gives it, relative to white.
 fn relit(relighter: &Relighter<'_>, field: &Field, stack: &Stack, i: usize) -> Vec<f32> {
     let own = field.mix_of_light(i).filter(|_| measure::is_own(field, stack));
-    let mix = own.unwrap_or_else(|| relighter.mix(stack.shots[i].light));
+    let mix = own.unwrap_or_else(|| relighter.mix_of(&stack.shots[i]));
     relighter.picture(&mix).into_iter().map(|v| v / field.white).collect()
 }
 

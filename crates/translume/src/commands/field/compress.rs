@@ -16,6 +16,12 @@ Examples:
   As good as 2 MB allow:
     translume field compress dome/ -o statue.glb --bytes 2000000
 
+  Colour errors count half as much as those of luminance:
+    translume field compress dome/ -o statue.glb --chroma 0.5
+
+  A BTF of the Bonn database, directions to light and camera in the names:
+    translume field compress cloth/ -o cloth.glb --names '{*} tl{theta} pl{phi} tv{vtheta} pv{vphi}.jpg'
+
   The method of the thesis, with 8 terms:
     translume field compress dome/ -o statue.glb --model log-pca --terms 8
 
@@ -29,7 +35,8 @@ Examples:
 ///
 /// The folder holds pictures of one view, each under one light, and a list of the directions to the lights: an RTI .lp
 /// file, lights.csv (file, x, y, z) or a table of directions (lights.txt) in the order of the numbers in the pictures'
-/// names. x is right, y up, z to the camera. Pictures may be PNG, JPEG, TIFF, TGA (encoded: 8 or 16 bits) or OpenEXR,
+/// names. x is right, y up, z to the camera. Pictures of a BTF or a surface light field, rectified to one grid of texels, have the
+/// direction to the camera beside that to the light (lights.csv: file, x, y, z, vx, vy, vz). Pictures may be PNG, JPEG, TIFF, TGA (encoded: 8 or 16 bits) or OpenEXR,
 /// Radiance, PFM (linear).
 ///
 /// The file is a binary glTF with block-compressed KTX2 textures; docs/formats/field.md describes it.
@@ -56,9 +63,18 @@ pub(crate) struct Args {
     /// The fewest layers that reach this PSNR in dB after tone mapping, over the pictures of the stack
     #[arg(long, value_name = "DB")]
     psnr: Option<f64>,
-    /// Offset δ of the logarithm as a share of white [default: 0.01; log-pca: 0.001]
+    /// Scale on which light is taken apart [default: root; log-pca: log]
+    #[arg(long, value_enum)]
+    scale: Option<ScaleName>,
+    /// Offset δ of that scale, of white 1 [default: root 0.2, log 0.01; log-pca: 0.001]
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     delta: Option<f32>,
+    /// What an error of colour counts beside one of luminance; below 1, luminance gets more of the bits
+    #[arg(long, value_name = "WEIGHT", default_value_t = 1.0, allow_negative_numbers = true)]
+    chroma: f32,
+    /// Store so many planes of what the other layers leave in 16 bits, each in the place of four layers
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    residual: usize,
     /// How many layers each tile of 32 × 32 texels gets, for the same bytes in all
     #[arg(long, value_enum, default_value = "auto")]
     tiles: TilesName,
@@ -87,6 +103,18 @@ enum ModelName {
     Hsh,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ScaleName {
+    /// ln(δ + √x): near black as a display shows it, above logarithmic
+    Root,
+    /// ln(δ + x), as the thesis has it
+    Log,
+    /// The display's curve
+    Display,
+    /// PU21, white at 100 cd/m²
+    Pu21,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum TilesName {
     /// As many as serve best, where that pays
@@ -109,8 +137,12 @@ enum CodecName {
     Bc1,
     /// One channel, 4 bits a texel
     Bc4,
+    /// Three channels, 8 bits a texel, ends of 10 to 16 bits
+    Bc6h,
     /// Three channels, 8 bits a texel
     Bc7,
+    /// One plane, 16 bits a texel
+    R16,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -136,8 +168,20 @@ impl Args {
         {
             return Err(Usage("PTM and HSH have a fixed number of terms: no --terms, --bytes or --psnr".into()).into());
         }
-        if self.delta.is_some() && !matches!(model, Model::Layers | Model::LogPca) {
-            return Err(Usage("--delta: this model has no logarithm".into()).into());
+        if self.delta.is_some()
+            && (!matches!(model, Model::Layers | Model::LogPca)
+                || matches!(self.scale, Some(ScaleName::Display | ScaleName::Pu21)))
+        {
+            return Err(Usage("--delta: this model, or scale, has no logarithm".into()).into());
+        }
+        let own = self.scale.is_some() || self.chroma != 1.0 || self.residual > 0 || self.tiles != TilesName::Auto;
+        if own && model != Model::Layers {
+            return Err(
+                Usage("--scale, --chroma, --residual and --tiles: only the model `layers` has them".into()).into()
+            );
+        }
+        if self.residual > 0 && !matches!(self.tiles, TilesName::Auto | TilesName::Whole) {
+            return Err(Usage("--residual: planes of 16 bits are not cut into tiles".into()).into());
         }
         if self.interpolation.is_some() && matches!(model, Model::Ptm | Model::Hsh) {
             return Err(Usage("--interpolation: PTM and HSH are functions of the direction themselves".into()).into());
@@ -148,9 +192,6 @@ impl Args {
         if self.psnr.is_some_and(|p| !(0.0..=200.0).contains(&p)) {
             return Err(Usage("--psnr takes decibels between 0 and 200".into()).into());
         }
-        if self.tiles != TilesName::Auto && model != Model::Layers {
-            return Err(Usage("--tiles: only the model `layers` has tiles".into()).into());
-        }
         Ok(Params {
             model,
             rate: match (self.terms, self.bytes, self.psnr) {
@@ -159,13 +200,17 @@ impl Args {
                 (.., Some(db)) => Rate::Psnr(db),
                 _ => Rate::Default,
             },
-            domain: self.delta.map(|delta| Domain::Log { delta }),
+            domain: self.domain(model),
+            chroma: self.chroma,
+            residual: self.residual,
             codec: self.codec.map(|c| match c {
                 CodecName::R8 => Codec::R8,
                 CodecName::Rgb8 => Codec::Rgb8,
                 CodecName::Bc1 => Codec::Bc1,
                 CodecName::Bc4 => Codec::Bc4,
+                CodecName::Bc6h => Codec::Bc6h,
                 CodecName::Bc7 => Codec::Bc7,
+                CodecName::R16 => Codec::R16,
             }),
             gaussian: self.interpolation.map(|b| matches!(b, Between::Gaussian)),
             tiling: match self.tiles {
@@ -177,6 +222,21 @@ impl Args {
             memory: self.memory.saturating_mul(1 << 20),
             ..Params::default()
         })
+    }
+}
+
+impl Args {
+    /// The scale asked for; `None`: that of the model.
+    fn domain(&self, model: Model) -> Option<Domain> {
+        let (scale, delta) = (self.scale, self.delta);
+        match scale {
+            Some(ScaleName::Display) => Some(Domain::Display),
+            Some(ScaleName::Pu21) => Some(Domain::Pu21),
+            Some(ScaleName::Log) => Some(Domain::Log { delta: delta.unwrap_or(0.01) }),
+            Some(ScaleName::Root) => Some(delta.map_or_else(Domain::default, |delta| Domain::Root { delta })),
+            None if model == Model::Layers => delta.map(|delta| Domain::Root { delta }),
+            None => delta.map(|delta| Domain::Log { delta }),
+        }
     }
 }
 
@@ -200,7 +260,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     for warning in &stack.warnings {
         ctx.warn(warning);
     }
-    file::write(&args.output, &field, &ctx.command_line)?;
+    file::write(&args.output, &field, &ctx.command_line, args.bytes.map(|b| b as usize))?;
     bar.finish_and_clear();
     let bytes = std::fs::metadata(&args.output)?.len();
     let mut object = super::describe(&field, bytes);

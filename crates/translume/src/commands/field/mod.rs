@@ -90,20 +90,22 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
     )];
     let scale = match field.domain {
         Domain::Log { delta } => format!("ln(δ + x), δ = {delta} of white"),
+        Domain::Root { delta } => format!("ln(δ + √x), δ = {delta}"),
         Domain::Linear => "linear".into(),
         Domain::Display => "sRGB curve".into(),
         Domain::Pu21 => "PU21".into(),
     };
     lines.push(format!("  scale       {scale}"));
     lines.push(format!("  white       {}", field.white));
+    let what = if field.views().is_empty() { "lights" } else { "directions of light and view" };
     let between = match &field.angular {
         Angular::Basis(basis) => format!("functions of the direction: {basis:?}"),
         Angular::Lights { lights, kernel: Kernel::Gaussian { width }, .. } => {
-            format!("{} lights, Gaussian of width {width:.3} between them", lights.len())
+            format!("{} {}, Gaussian of width {width:.3} between them", lights.len(), what)
         }
         Angular::Lights { lights, kernel: Kernel::Surface { rough, width, noise }, .. } => {
             format!(
-                "{} lights, between them matt surfaces, {rough} rough of width {width}, noise {noise}",
+                "{} {what}, between them matt surfaces, {rough} rough of width {width}, noise {noise}",
                 lights.len()
             )
         }
@@ -144,6 +146,7 @@ fn describe(field: &Field, bytes: u64) -> Value {
         "scale": field.domain,
         "white": field.white,
         "lights": field.lights().len(),
+        "several_views": !field.views().is_empty(),
         "interpolation": kernel,
         "bytes": bytes,
         "texture_bytes": field.texture_bytes(),

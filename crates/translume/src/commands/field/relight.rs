@@ -19,6 +19,9 @@ Examples:
   A round light of 20 degrees:
     translume field relight statue.glb --light 0,0,1 --size 20 -o soft.exr
 
+  A BTF seen from the right:
+    translume field relight cloth.glb --light 0,0.5,1 --view 0.5,0,1 -o cloth.exr
+
   An environment map, its centre behind the camera:
     translume field relight statue.glb --env studio.exr -o studio-lit.exr";
 
@@ -37,6 +40,9 @@ pub(crate) struct Args {
     /// Environment map (longitude and latitude), light from all around
     #[arg(long, value_name = "MAP")]
     env: Option<PathBuf>,
+    /// Direction to the camera, for fields of pictures from several views [default: along the normal, 0,0,1]
+    #[arg(long, value_name = "X,Y,Z", value_parser = view, allow_hyphen_values = true)]
+    view: Option<[f32; 3]>,
     /// Diameter of the lights in degrees; the light is spread evenly over the disc
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     size: f32,
@@ -65,6 +71,10 @@ fn light(text: &str) -> Result<Light, String> {
     Ok(Light { direction, colour })
 }
 
+fn view(text: &str) -> Result<[f32; 3], String> {
+    light(text).map(|l| l.direction)
+}
+
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     if args.lights.is_empty() && args.env.is_none() {
         return Err(Usage("give --light or --env".into()).into());
@@ -75,6 +85,9 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     super::compress::prepare(&args.output)?;
     writer(&args.output)?;
     let field = file::read(&args.field)?;
+    if args.view.is_some() && field.views().is_empty() {
+        return Err(Usage("--view: all pictures of this field have one view".into()).into());
+    }
     let relighter = Relighter::new(&field)?;
     let mut all: Vec<([f32; 3], [f32; 3])> = Vec::new();
     for l in &args.lights {
@@ -101,7 +114,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let mut sum = vec![0.0f32; 3 * field.width * field.height];
     let bar = ctx.progress(all.len() as u64, "relighting");
     for (direction, colour) in &all {
-        relighter.add_picture(&relighter.mix(*direction), *colour, &mut sum);
+        relighter.add_picture(&relighter.mix_seen(*direction, args.view.unwrap_or([0.0, 0.0, 1.0])), *colour, &mut sum);
         bar.inc(1);
     }
     let gain = args.ev.exp2();

@@ -28,7 +28,10 @@ Examples:
     translume scatter fit capture/ --segments 8 --shared -o model/
 
   A capture of a mesh: a fall-off for each vertex, for rendering from any side:
-    translume scatter fit bunny-capture/ --model exponential -o bunny-model/";
+    translume scatter fit bunny-capture/ --model exponential -o bunny-model/
+
+  The same capture as a hierarchical model, for relighting at interactive rates:
+    translume scatter fit bunny-capture/ --model hierarchical -o bunny-disco/";
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum ModelName {
@@ -40,6 +43,8 @@ enum ModelName {
     BetterDipole,
     /// Normalised diffusion (Burley 2015)
     Normalized,
+    /// Throughput between vertices, local kernels and detail of an object (Goesele et al. 2004)
+    Hierarchical,
 }
 
 /// Fit a model of the fall-off around lit points, to a list of samples or a capture
@@ -51,15 +56,18 @@ enum ModelName {
 /// A capture is the folder of a flat sample; the result is a folder with the fall-offs and a modulation texture. Every fifth
 /// pixel is kept from the fit, for `report`. With a capture of any other mesh the result is a folder with a fall-off for each vertex,
 /// one for all colours; unstable fits lose terms, or are left out, and what was not measured comes from the neighbours.
+///
+/// `--model hierarchical` takes captures of meshes and keeps what was measured itself: the throughput between all pairs of vertices, 7 × 7
+/// kernels around the texels of an atlas, a modulation texture, and a confidence beside each. `relight` shows it.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
     /// A list of samples, .npy, or the folder of a capture
     #[arg(value_name = "SAMPLES.npy|CAPTURE")]
-    input: PathBuf,
+    pub(super) input: PathBuf,
     /// The fits, as JSON, or the folder of the model of a capture
     #[arg(short, long, value_name = "OUT")]
-    output: PathBuf,
+    pub(super) output: PathBuf,
     /// The model
     #[arg(long, value_enum, default_value_t = ModelName::Exponential)]
     model: ModelName,
@@ -68,26 +76,27 @@ pub(super) struct Args {
     terms: usize,
     /// Directions with a fall-off of their own, blended between their centres: 1, or 3 to 64
     #[arg(long, value_name = "M", default_value_t = 1, value_parser = RangedU64ValueParser::<usize>::new().range(1..=64))]
-    segments: usize,
+    pub(super) segments: usize,
     /// Index of refraction for the dipoles
     #[arg(long, value_name = "ETA", default_value_t = 1.3)]
     eta: f64,
     /// Fit a factor to the dipoles too, for samples whose unit is not mm⁻²
     #[arg(long)]
-    free_scale: bool,
+    pub(super) free_scale: bool,
     /// Captures: one fall-off for all colours, with a factor for each
     #[arg(long)]
-    shared: bool,
+    pub(super) shared: bool,
     /// Flat samples: estimate the laser's power in each frame, by reciprocity between neighbouring positions
     #[arg(long)]
-    gains: bool,
+    pub(super) gains: bool,
     /// Captures: pixels above this multiple of the noise floor are samples
     #[arg(long, value_name = "FACTOR", default_value_t = 4.0)]
-    threshold: f64,
+    pub(super) threshold: f64,
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(args)?;
+    let Some(params) = params else { return super::fit_hierarchical::run(args, ctx) };
     match args.input.is_dir() {
         true => fit_capture(args, params, ctx),
         false if args.shared || args.gains => {
@@ -98,7 +107,8 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }
 }
 
-fn params(args: &Args) -> anyhow::Result<Params> {
+/// `None` for the hierarchical model, which has no fall-offs.
+fn params(args: &Args) -> anyhow::Result<Option<Params>> {
     if args.segments == 2 {
         return Err(
             Usage("--segments 2: two directions cannot be blended around a circle; take 1, or 3 to 64".into()).into()
@@ -112,6 +122,7 @@ fn params(args: &Args) -> anyhow::Result<Params> {
         ModelName::Dipole => Model::Dipole,
         ModelName::BetterDipole => Model::BetterDipole,
         ModelName::Normalized => Model::Normalized,
+        ModelName::Hierarchical => return Ok(None),
     };
     if args.threshold.is_nan() || args.threshold < 0.0 {
         return Err(Usage("--threshold: it must be 0 or more".into()).into());
@@ -119,7 +130,7 @@ fn params(args: &Args) -> anyhow::Result<Params> {
     if args.free_scale && !matches!(model, Model::Dipole | Model::BetterDipole) {
         return Err(Usage("--free-scale: only the dipoles have a scale of their own".into()).into());
     }
-    Ok(Params { model, terms: args.terms, segments: args.segments, eta: args.eta, free_scale: args.free_scale })
+    Ok(Some(Params { model, terms: args.terms, segments: args.segments, eta: args.eta, free_scale: args.free_scale }))
 }
 
 fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {

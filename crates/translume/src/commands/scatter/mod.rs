@@ -1,8 +1,11 @@
 //! `translume scatter`: models of subsurface scattering from measurements.
 
 mod fit;
+mod fit_hierarchical;
 mod plot;
+mod relight;
 mod report;
+mod report_hierarchical;
 mod report_mesh;
 mod report_planar;
 mod simulate;
@@ -34,6 +37,7 @@ pub(crate) struct Args {
 enum Verb {
     Simulate(simulate::Args),
     Fit(fit::Args),
+    Relight(relight::Args),
     Report(report::Args),
 }
 
@@ -41,6 +45,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     match args.verb {
         Verb::Simulate(args) => simulate::run(&args, ctx),
         Verb::Fit(args) => fit::run(&args, ctx),
+        Verb::Relight(args) => relight::run(&args, ctx),
         Verb::Report(args) => report::run(&args, ctx),
     }
 }

@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use translume_image::{atomic, metrics::magma, write_png8};
 use translume_scatter::capture::Capture;
+use translume_scatter::hierarchical::read_head;
 use translume_scatter::planar::ErrorMap;
 
 const EXAMPLES: &str = "\
@@ -18,7 +19,8 @@ Examples:
 ///
 /// The errors are those of pixels that no fit has seen. Fitted for comparison are, on flat samples, the exponential model, isotropic
 /// and with 4 and 8 directions, with a fall-off for each colour and a shared one, and the dipole with a free scale; on objects,
-/// one exponential and the dipole. Written are an HTML page with pictures, samples against fits, and the table as CSV.
+/// one exponential and the dipole. Hierarchical models use all pixels; theirs are errors of what was fitted, without F, without K and
+/// without the modulation for comparison, and the pictures show local, global and combined light apart. Written are an HTML page with pictures, samples against fits, and the table as CSV.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
@@ -42,6 +44,8 @@ pub(super) struct Row {
 /// What one kind of model has to show.
 pub(super) struct Told {
     pub(super) title: &'static str,
+    /// Which pixels the errors are about.
+    pub(super) on: &'static str,
     pub(super) channels: Vec<String>,
     pub(super) points: usize,
     pub(super) rows: Vec<Row>,
@@ -53,6 +57,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     // The threshold of the model decides what is a sample; it is known once the model is read.
     let threshold = threshold_of(&args.model)?;
     let told = match opened.is_flat() {
+        _ if read_head(&args.model).is_ok() => super::report_hierarchical::tell(args, &opened, threshold)?,
         true => super::report_planar::tell(args, opened, threshold, ctx)?,
         false => super::report_mesh::tell(args, opened, threshold, ctx)?,
     };
@@ -61,9 +66,10 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.text(text(&table))?;
     let chapter = Chapter {
         title: "Errors".into(),
-        html: "<p>Mean over the lit points of ln E(x<sub>i</sub>) on pixels kept from all fits [Fuchs 2005, Eq. 8]; \
-               0 is perfect. Then the mean of E itself.</p>"
-            .into(),
+        html: format!(
+            "<p>Mean over the lit points of ln E(x<sub>i</sub>) on {} [Fuchs 2005, Eq. 8]; 0 is perfect. Then the mean of E itself.</p>",
+            told.on
+        ),
         pictures: told.pictures,
         figures: table,
     };

@@ -37,6 +37,7 @@ pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) 
     let pictures = pictures(&args.output, &mesh, &head, &model, (&rows[0].errors, &rivals[0]))?;
     Ok(Told {
         title: "A model of subsurface scattering of an object",
+        on: "pixels kept from all fits",
         channels: head.channels,
         points: mesh.beams.len(),
         rows,

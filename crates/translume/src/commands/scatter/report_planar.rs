@@ -48,6 +48,7 @@ pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) 
     pictures.push(vec![against(&args.output, &capture, &model, &rivals)?]);
     Ok(Told {
         title: "A planar model of subsurface scattering",
+        on: "pixels kept from all fits",
         channels: head.channels,
         points: capture.spots.len(),
         rows,

@@ -5,7 +5,7 @@ use crate::output::Context;
 use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use translume_mesh::{ReadOptions, TriMesh};
+use translume_mesh::ReadOptions;
 use translume_scatter::simulate::{CaptureParams, Local, Medium, Procedural, Solid, capture_slab, capture_solid};
 
 const EXAMPLES: &str = "\
@@ -105,6 +105,9 @@ pub(super) struct Args {
     /// Rig error: deviation of the heights of the mesh
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     geometry_error: f64,
+    /// Save the medium as PREFIX-sigma_t.vol and PREFIX-albedo.vol, for `render`
+    #[arg(long, value_name = "PREFIX")]
+    save_medium: Option<PathBuf>,
     /// Pattern of the medium
     #[arg(long, value_name = "N", default_value_t = 1)]
     pattern: u64,
@@ -219,6 +222,9 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let solid = args.mesh.as_deref().map(|file| load_solid(file, args.mesh_size)).transpose()?;
     let params = params(args, solid.as_ref())?;
     let medium = medium(args, &params, solid.as_ref(), ctx)?;
+    if let Some(prefix) = &args.save_medium {
+        save_medium(prefix, &medium)?;
+    }
     let parent = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
     let beside = beside.map_err(|e| anyhow!("{}: {e}", parent.display()))?;
@@ -254,7 +260,7 @@ fn load_solid(file: &Path, size: Option<f64>) -> anyhow::Result<Solid> {
     }
     let loaded = translume_mesh::read(file, &ReadOptions::default())?;
     let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
-    let mut mesh = compact(&mesh.ok_or_else(|| anyhow!("{}: no triangles", file.display()))?);
+    let mut mesh = mesh.ok_or_else(|| anyhow!("{}: no triangles", file.display()))?.compacted();
     if let Some(size) = size {
         let longest = mesh.bounds().extent().max_element();
         let factor = (size / f64::from(longest)) as f32;
@@ -263,36 +269,28 @@ fn load_solid(file: &Path, size: Option<f64>) -> anyhow::Result<Solid> {
     Solid::new(mesh).map_err(|what| anyhow!("{}: {what}", file.display()))
 }
 
-/// Positions and triangles alone: one vertex for each position (files split them at seams of texture, and light does not
-/// care), without vertices that no triangle uses and without triangles of fewer than three corners.
-fn compact(mesh: &TriMesh) -> TriMesh {
-    let (weld, positions) = mesh.weld();
-    let mut number = vec![u32::MAX; positions];
-    let mut out = TriMesh::default();
-    for triangle in &mesh.indices {
-        let [a, b, c] = triangle.map(|i| weld[i as usize]);
-        if a == b || b == c || c == a {
-            continue;
-        }
-        let index = triangle.map(|i| {
-            let n = &mut number[weld[i as usize] as usize];
-            if *n == u32::MAX {
-                *n = out.positions.len() as u32;
-                out.positions.push(mesh.positions[i as usize]);
-            }
-            *n
-        });
-        out.indices.push(index);
-    }
-    out
-}
-
 fn medium(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Context) -> anyhow::Result<Medium> {
     let Some(procedural) = args.medium.procedural() else { return grid(args, params, solid, ctx) };
     Ok(match solid {
         Some(solid) => procedural.fill(args.pattern, solid.bounds(), |p| solid.depth(p)),
         None => procedural.build(args.pattern),
     })
+}
+
+/// Extinction and albedo, three channels each, as grids of Mitsuba's format.
+fn save_medium(prefix: &Path, medium: &Medium) -> anyhow::Result<()> {
+    let (size, corners, cells) = medium.cells();
+    let corners = corners.map(translume_mesh::glam::DVec3::from_array);
+    let extinction = |c: &Local| c.sigma_a.map(|a| a + c.sigma_s);
+    let sigma_t: Vec<f32> = cells.iter().flat_map(extinction).collect();
+    let albedo: Vec<f32> = cells.iter().flat_map(|c| extinction(c).map(|t| c.sigma_s / t.max(1e-30))).collect();
+    for (name, values) in [("sigma_t", sigma_t), ("albedo", albedo)] {
+        let mut file = prefix.as_os_str().to_owned();
+        file.push(format!("-{name}.vol"));
+        let bytes = translume_scene::grid_bytes(size, 3, corners, &values);
+        translume_image::atomic::write_bytes(Path::new(&file), &bytes)?;
+    }
+    Ok(())
 }
 
 /// The numbers of a grid as extinction, its box stretched over the mesh, or for a slab over the frame and the depth.

@@ -1,0 +1,48 @@
+//! The hierarchical model of an object [Goesele et al. 2004, DISCO]: R_d between the vertices of a mesh (F, global), 7 × 7 kernels on the
+//! texels of an atlas (K, local), and a modulation texture (T).
+//!
+//! With E the irradiance that enters, A areas, and ∗ the sum over the 49 texels around, B = T · (F E A, interpolated) + K ∗ E A is the radiosity from
+//! inside. Kernels are measured from the lit texel outwards and used, by reciprocity, as filters around the texel that is seen.
+//!
+//! | file | does |
+//! |---|---|
+//! | `charts`, `atlas`, `grid` | the texture atlas |
+//! | `stage`, `views` | what stands still while frames go by |
+//! | `resample`, `pairs` | frames to measurements between vertices |
+//! | `relax`, `trend`, `complete` | filling F |
+//! | `kernel`, `split` | kernels, filled and less F |
+//! | `detail` | T |
+//! | `model`, `file` | all of it |
+//!
+//! Not modelled: highlights, single scattering's directions, light that leaves and enters again (where it was measured, it is in F).
+
+mod array;
+mod atlas;
+mod charts;
+mod colour;
+mod complete;
+mod detail;
+mod file;
+mod grid;
+mod kernel;
+mod model;
+mod pairs;
+mod relax;
+mod resample;
+mod split;
+mod stage;
+mod trend;
+mod views;
+
+#[cfg(test)]
+pub(crate) use atlas::tests;
+pub use atlas::{Atlas, AtlasParams, RADIUS, Texel};
+pub use complete::{Completion, Solver, complete};
+pub use file::{
+    HIERARCHICAL_FORMAT, HIERARCHICAL_VERSION, HierarchicalHead, load_hierarchical, read_head, save_hierarchical,
+};
+pub use model::{Corners, Hierarchical, HierarchicalParams, Step, Told, fit_hierarchical};
+pub use pairs::{Measured, Throughput};
+pub use resample::{Kernels, resample};
+pub use stage::{Losses, Stage};
+pub(crate) use views::hidden;
