@@ -82,7 +82,7 @@ fn a_captured_slab_and_a_captured_ball_are_rendered() {
     );
     assert!(known.contains("sigma_s"));
     let truth = halves(dir, &known, &[]);
-    assert!((means[1][1] / truth[1] - 1.0).abs() < 0.3, "{means:?} {truth:?}");
+    assert!(means.iter().all(|m| (m[1] / truth[1]).ln().abs() < 0.7), "{means:?} {truth:?}");
 
     // Any number of threads, the same bits.
     let bytes = |threads: &str| {

@@ -5,6 +5,7 @@
 use super::fall_off::{FallOff, widen};
 use super::{Envelope, colours};
 use crate::capture::Camera;
+use crate::fit::PointFit;
 use crate::planar::{LitPoint, ModelHead, PlanarModel, read_model};
 use crate::segments::hat;
 use glam::Vec3;
@@ -22,6 +23,9 @@ pub struct PlanarMaterial {
     views: Vec<View>,
     envelope: Envelope,
 }
+
+/// The most that may come back of what came in: lit points with more are left out, and their neighbours serve.
+const MOST: f64 = 1.5;
 
 /// A lit point.
 struct Point {
@@ -65,6 +69,14 @@ impl Point {
         .map(|fit| (!fit.segments.is_empty()).then(|| fit.segments.iter().map(|s| FallOff::new(&s.curve)).collect()))
         .collect();
         let fall_off = all?;
+        // Samples of a short range do not tell how slow the slowest term is; such a fit would be as bright as it likes.
+        let bright = |fit: &PointFit| {
+            let total: f64 = fit.segments.iter().map(|s| s.curve.total()).sum::<f64>() / fit.segments.len() as f64;
+            !(0.0..=MOST).contains(&(total * point.scale.iter().copied().fold(0.0, f64::max)))
+        };
+        if point.fall_off.iter().any(bright) {
+            return None;
+        }
         let scale = Rgb::from_array(rgb.map(|c| point.scale[c] as f32));
         let total = |c: usize| {
             let segments: &Vec<FallOff> = &fall_off[c % fall_off.len()];
@@ -174,7 +186,7 @@ impl PlanarMaterial {
         let each = points.iter().flat_map(|p| p.fall_off.iter().flatten());
         let slowest = each.map(FallOff::slowest).fold(f32::INFINITY, f32::min);
         if points.is_empty() {
-            return Err(Error::invalid(path, "no lit point has a fall-off"));
+            return Err(Error::invalid(path, "no lit point has a fall-off that sends back less light than it gets"));
         }
         points.iter_mut().for_each(|p| widen(&mut p.gammas, slowest));
         let view = |(view, camera): (usize, &Camera)| {
