@@ -225,7 +225,7 @@ fn a_mesh_is_captured_fitted_for_each_vertex_and_reported() {
         ("translume vertex model", "something", "not a model"),
         ("\"version\":\"1.1\"", "\"version\":\"2.0\"", "version 2.0"),
         ("\"texels_per_edge\":", "\"texels_per_edge\":9", "do not go"),
-        ("\"channels\":[\"red\"", "\"channels\":[\"teal\"", "not fitted to this capture"),
+        ("\"channels\":[\"red\"", "\"channels\":[\"teal\"", "no channel alpha.teal"),
     ] {
         fs::write(&path, text.replacen(from, to, 1)).unwrap();
         let error = translume(dir, &["scatter", "report", "c", "m", "-o", "x"]).error(1);

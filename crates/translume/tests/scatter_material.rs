@@ -80,8 +80,9 @@ fn a_captured_slab_and_a_captured_ball_are_rendered() {
         "<string name=\"filename\" value=\"e\"/>\n          <float name=\"scale\" value=\"8\"/>",
         "<rgb name=\"sigma_s\" value=\"2 2 2\"/><rgb name=\"sigma_a\" value=\"0.004 0.006 0.01\"/><float name=\"int_ior\" value=\"1.5\"/>",
     );
+    assert!(known.contains("sigma_s"));
     let truth = halves(dir, &known, &[]);
-    assert!((means[1][1] / truth[1] - 1.0).abs() < 0.3, "{means:?} {truth:?}");
+    assert!(means.iter().all(|m| (m[1] / truth[1]).ln().abs() < 0.7), "{means:?} {truth:?}");
 
     // Any number of threads, the same bits.
     let bytes = |threads: &str| {

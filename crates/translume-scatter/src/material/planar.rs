@@ -5,6 +5,7 @@
 use super::fall_off::{FallOff, widen};
 use super::{Envelope, colours};
 use crate::capture::Camera;
+use crate::fit::PointFit;
 use crate::planar::{LitPoint, ModelHead, PlanarModel, read_model};
 use crate::segments::hat;
 use glam::Vec3;
@@ -22,6 +23,9 @@ pub struct PlanarMaterial {
     views: Vec<View>,
     envelope: Envelope,
 }
+
+/// The most that may come back of what came in: lit points with more are left out, and their neighbours serve.
+const MOST: f64 = 1.5;
 
 /// A lit point.
 struct Point {
@@ -65,6 +69,14 @@ impl Point {
         .map(|fit| (!fit.segments.is_empty()).then(|| fit.segments.iter().map(|s| FallOff::new(&s.curve)).collect()))
         .collect();
         let fall_off = all?;
+        // Samples of a short range do not tell how slow the slowest term is; such a fit would be as bright as it likes.
+        let bright = |fit: &PointFit| {
+            let total: f64 = fit.segments.iter().map(|s| s.curve.total()).sum::<f64>() / fit.segments.len() as f64;
+            !(0.0..=MOST).contains(&(total * point.scale.iter().copied().fold(0.0, f64::max)))
+        };
+        if point.fall_off.iter().any(bright) {
+            return None;
+        }
         let scale = Rgb::from_array(rgb.map(|c| point.scale[c] as f32));
         let total = |c: usize| {
             let segments: &Vec<FallOff> = &fall_off[c % fall_off.len()];
@@ -174,18 +186,16 @@ impl PlanarMaterial {
         let each = points.iter().flat_map(|p| p.fall_off.iter().flatten());
         let slowest = each.map(FallOff::slowest).fold(f32::INFINITY, f32::min);
         if points.is_empty() {
-            return Err(Error::invalid(path, "no lit point has a fall-off"));
+            return Err(Error::invalid(path, "no lit point has a fall-off that sends back less light than it gets"));
         }
         points.iter_mut().for_each(|p| widen(&mut p.gammas, slowest));
-        type Planes = Vec<Vec<f32>>;
-        let view = |(camera, (alpha, samples)): (&Camera, (&Planes, &Planes))| View {
-            camera: camera.clone(),
-            alpha: (0..alpha[0].len())
-                .map(|i| (Rgb::from_array(rgb.map(|c| alpha[c][i])), rgb.iter().all(|&c| samples[c][i] > 0.0)))
-                .collect(),
+        let view = |(view, camera): (usize, &Camera)| {
+            let (alpha, samples) = (&model.texture[view], &model.texture_samples[view]);
+            let pixel =
+                |i: usize| (Rgb::from_array(rgb.map(|c| alpha[c][i])), rgb.iter().all(|&c| samples[c][i] > 0.0));
+            View { camera: camera.clone(), alpha: (0..alpha[0].len()).map(pixel).collect() }
         };
-        let textures = model.texture.iter().zip(&model.texture_samples);
-        let views: Vec<View> = head.cameras.iter().zip(textures).map(view).collect();
+        let views: Vec<View> = head.cameras.iter().enumerate().map(view).collect();
         let brightest = views.iter().flat_map(|v| &v.alpha).map(|a| a.0.max_element()).fold(1.0, f32::max);
         let envelope = Envelope::new(|r| {
             let value =

@@ -1,7 +1,7 @@
 //! The fit: per channel or with one fall-off for all of them, then the modulation texture.
 
 use super::samples::{PlanarCapture, Spot, held_out};
-use crate::fit::{Fitter, Model, Params, PointFit};
+use crate::fit::{Fitter, Params, PointFit};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use translume_image::Result;
@@ -82,48 +82,26 @@ impl PlanarModel {
 /// # Errors
 /// Those of reading frames.
 pub fn fit_planar(capture: &PlanarCapture, params: &PlanarParams, progress: impl Fn() + Sync) -> Result<PlanarModel> {
-    let make = || attempts(&params.fit).iter().map(Fitter::new).collect::<Vec<_>>();
-    let one = |fitters: &mut Vec<Fitter>, (index, spot): (usize, &Spot)| {
+    let make = || Fitter::new(&params.fit);
+    let one = |fitter: &mut Fitter, (index, spot): (usize, &Spot)| {
         let samples = samples(capture, index, spot)?;
         progress();
         Ok(match params.shared {
             true => {
-                let bright =
-                    |found: &(Vec<f64>, PointFit)| is_bright(&found.1, found.0.iter().copied().fold(0.0, f64::max));
-                let found = fitters.iter_mut().map(|f| fit_shared(f, &samples)).find(|f| !bright(f));
-                let (scale, fall_off) = found.unwrap_or((vec![1.0; samples.len()], PointFit::default()));
+                let (scale, fall_off) = fit_shared(fitter, &samples);
                 LitPoint { at_mm: spot.at, scale, fall_off: vec![fall_off] }
             }
-            false => {
-                let fit = |s: &Vec<[f32; 3]>| fitters.iter_mut().map(|f| f.fit(s)).find(|f| !is_bright(f, 1.0));
-                let fall_off = samples.iter().map(fit).map(Option::unwrap_or_default).collect();
-                LitPoint { at_mm: spot.at, scale: vec![1.0; samples.len()], fall_off }
-            }
+            false => LitPoint {
+                at_mm: spot.at,
+                scale: vec![1.0; samples.len()],
+                fall_off: samples.iter().map(|s| fitter.fit(s)).collect(),
+            },
         })
     };
-    let points: Result<Vec<LitPoint>> = capture.spots.par_iter().enumerate().map_init(make, one).collect();
+    let points: Result<Vec<LitPoint>> = capture.spots.par_iter().enumerate().map_init(make, |f, s| one(f, s)).collect();
     let mut model = PlanarModel { points: points?, texture: Vec::new(), texture_samples: Vec::new() };
     modulate(capture, params, &mut model)?;
     Ok(model)
-}
-
-/// The most that may come back of what came in: more is no reflectance.
-const MOST: f64 = 1.5;
-
-/// Whether a fit sends back more light than there was: samples of a short range do not tell how slow the slowest term is.
-fn is_bright(fit: &PointFit, scale: f64) -> bool {
-    let totals = fit.segments.iter().map(|s| s.curve.total());
-    scale * totals.sum::<f64>() > MOST * fit.segments.len() as f64
-}
-
-/// What is tried until a fit is no brighter than the light: fewer terms, then the same for all directions alike.
-fn attempts(params: &Params) -> Vec<Params> {
-    let fewer = |segments: usize| {
-        let terms = if params.model == Model::Exponential { params.terms } else { 1 };
-        (1..=terms).rev().map(move |terms| Params { terms, segments, ..params.clone() })
-    };
-    let alike = (params.segments > 1).then(|| fewer(1));
-    fewer(params.segments).chain(alike.into_iter().flatten()).collect()
 }
 
 /// The samples (x, y from the spot, R_d) of each channel that are not held out; the same pixels in each, 0 under the noise.
