@@ -6,7 +6,7 @@ use half::f16;
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
-use translume_scatter::capture::{Camera, Capture, Channel, Laser, RIG_VERSION, Rig, View};
+use translume_scatter::capture::{Camera, Capture, Channel, Laser, Rig, View};
 use translume_scatter::hierarchical::{AtlasParams, Stage, resample};
 
 const WIDTH: usize = 768;
@@ -53,23 +53,20 @@ fn write(path: &Path, half: bool) -> anyhow::Result<u64> {
     let channel =
         |name: &str| Channel { name: name.into(), wavelength_nm: 550.0, white_balance: 1.0, noise_floor: 1e-6 };
     let rig = Rig {
-        format: "translume capture".into(),
-        version: RIG_VERSION.into(),
-        units: "mm".into(),
-        frames: "frames".into(),
-        mesh: "mesh.ply".into(),
-        eta: 1.3,
-        channels: ["red", "green", "blue"].map(channel).to_vec(),
-        views: cameras.iter().map(|c| View { turntable_deg: 0.0, camera: c.clone() }).collect(),
-        laser: Laser {
-            origin_mm: origin,
-            origins_mm: Vec::new(),
-            beam_diameter_mm: 2.0,
-            power: vec![1.0; 3],
-            grid: [10, POSITIONS / 10],
-            hits_mm: hits.clone(),
-        },
         provenance: json!({ "synthetic": true }),
+        ..Rig::new(
+            1.3,
+            ["red", "green", "blue"].map(channel).to_vec(),
+            cameras.iter().map(|c| View { turntable_deg: 0.0, camera: c.clone() }).collect(),
+            Laser {
+                origin_mm: origin,
+                origins_mm: Vec::new(),
+                beam_diameter_mm: 2.0,
+                power: vec![1.0; 3],
+                grid: [10, POSITIONS / 10],
+                hits_mm: hits.clone(),
+            },
+        )
     };
     let capture = Capture::create(path, rig, mesh)?;
     if half {

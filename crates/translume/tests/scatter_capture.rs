@@ -152,44 +152,11 @@ fn damaged_captures_are_named() {
     }
 }
 
-/// An octahedron, each triangle in four parts three times over, on a sphere of radius 6: 258 vertices.
-fn sphere(path: &Path) {
-    let mut faces: Vec<[[f64; 3]; 3]> = Vec::new();
-    for signs in 0..8 {
-        let s = [0, 1, 2].map(|k| if signs >> k & 1 == 0 { 1.0 } else { -1.0 });
-        let mut face = [[s[0], 0.0, 0.0], [0.0, s[1], 0.0], [0.0, 0.0, s[2]]];
-        if s[0] * s[1] * s[2] < 0.0 {
-            face.swap(1, 2);
-        }
-        faces.push(face);
-    }
-    let middle = |a: [f64; 3], b: [f64; 3]| {
-        let m = [0, 1, 2].map(|i| a[i] + b[i]);
-        let n = m.iter().map(|x| x * x).sum::<f64>().sqrt();
-        m.map(|x| x / n)
-    };
-    for _ in 0..3 {
-        let split = |[a, b, c]: [[f64; 3]; 3]| {
-            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-            [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
-        };
-        faces = faces.into_iter().flat_map(split).collect();
-    }
-    let mut text = String::new();
-    for (i, face) in faces.iter().enumerate() {
-        for p in face {
-            text += &format!("v {:.6} {:.6} {:.6}\n", 6.0 * p[0], 6.0 * p[1], 6.0 * p[2]);
-        }
-        text += &format!("f {} {} {}\n", 3 * i + 1, 3 * i + 2, 3 * i + 3);
-    }
-    fs::write(path, text).unwrap();
-}
-
 #[test]
 fn a_mesh_is_captured_fitted_for_each_vertex_and_reported() {
     let dir = tempdir().unwrap();
     let dir = dir.path();
-    sphere(&dir.join("ball.obj"));
+    fs::write(dir.join("ball.obj"), common::octahedron()).unwrap();
     let small = ["--spacing", "4", "--pixels", "24", "--views", "3", "--photons", "300"];
     let simulate = [&["scatter", "simulate", "homogeneous", "--mesh", "ball.obj", "-o", "c"][..], &small].concat();
     let made = json(dir, &simulate);

@@ -17,7 +17,7 @@ use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
 use std::sync::atomic::AtomicBool;
 use translume_core::sampler::Sampler;
-use translume_scene::MediumId;
+use translume_scene::{MediumId, Scene};
 use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
@@ -41,6 +41,17 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// What the scene asks for, seen by its first camera.
+    pub fn of(scene: &Scene) -> Self {
+        let wanted = &scene.integrator;
+        Self {
+            max_depth: wanted.max_depth,
+            rr_depth: wanted.rr_depth,
+            hide_emitters: wanted.hide_emitters,
+            camera_medium: scene.sensors.first().and_then(|s| s.medium),
+        }
+    }
+
     /// Longest path of methods that keep its vertices.
     pub(crate) fn most_segments(&self) -> u32 {
         self.max_depth.unwrap_or(MOST_SEGMENTS).min(MOST_SEGMENTS)

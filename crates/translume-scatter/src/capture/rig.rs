@@ -33,6 +33,24 @@ pub struct Rig {
     pub provenance: serde_json::Value,
 }
 
+impl Rig {
+    /// With the files and units that every capture has, and nothing said of how it was made.
+    pub fn new(eta: f64, channels: Vec<Channel>, views: Vec<View>, laser: Laser) -> Self {
+        Self {
+            format: "translume capture".into(),
+            version: RIG_VERSION.into(),
+            units: "mm".into(),
+            frames: "frames".into(),
+            mesh: "mesh.ply".into(),
+            eta,
+            channels,
+            views,
+            laser,
+            provenance: serde_json::Value::Null,
+        }
+    }
+}
+
 /// A colour of the laser and the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Channel {

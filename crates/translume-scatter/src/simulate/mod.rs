@@ -16,7 +16,7 @@ pub use slab::{Slab, TOP, pencil_beam};
 pub use solid::{Solid, capture_solid};
 pub use walk::{Body, Exit, Importance, Interface, Wall, World};
 
-use crate::capture::{Camera, Capture, Channel, Laser, RIG_VERSION, Rig, View, dot, norm, sub};
+use crate::capture::{Camera, Capture, Channel, Laser, Rig, View, dot, norm, sub};
 use serde::Serialize;
 use slab::SlabStage;
 use std::f64::consts::TAU;
@@ -178,23 +178,20 @@ fn rig(params: &CaptureParams, label: serde_json::Value) -> Rig {
         View { turntable_deg: turn.to_degrees(), camera: Camera::looking_at(eye, [0.0; 3], up, size, params.field_mm) }
     };
     Rig {
-        format: "translume capture".into(),
-        version: RIG_VERSION.into(),
-        units: "mm".into(),
-        frames: "frames".into(),
-        mesh: "mesh.ply".into(),
-        eta: params.eta,
-        channels: CHANNELS.into_iter().map(channel).collect(),
-        views: (0..params.views).map(view).collect(),
-        laser: Laser {
-            origin_mm: [0.0, 0.0, LASER_HEIGHT],
-            origins_mm: Vec::new(),
-            beam_diameter_mm: params.beam_diameter_mm,
-            power: vec![1.0; 3],
-            grid: [params.spots; 2],
-            hits_mm: hits(params),
-        },
         provenance: serde_json::json!({ "simulated": label, "parameters": params }),
+        ..Rig::new(
+            params.eta,
+            CHANNELS.into_iter().map(channel).collect(),
+            (0..params.views).map(view).collect(),
+            Laser {
+                origin_mm: [0.0, 0.0, LASER_HEIGHT],
+                origins_mm: Vec::new(),
+                beam_diameter_mm: params.beam_diameter_mm,
+                power: vec![1.0; 3],
+                grid: [params.spots; 2],
+                hits_mm: hits(params),
+            },
+        )
     }
 }
 

@@ -6,7 +6,7 @@
 use super::stage::{self, Stage};
 use super::walk::{Body, Exit, Interface, Wall};
 use super::{CAMERA_DISTANCE, CHANNELS, CaptureParams, LASER_HEIGHT, Medium, channel, shifted};
-use crate::capture::{Camera, Capture, Laser, RIG_VERSION, Rig, Surface, Texels, View, dot, normalize, sub};
+use crate::capture::{Camera, Capture, Laser, Rig, Surface, Texels, View, dot, normalize, sub};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -335,23 +335,20 @@ fn turntable(solid: &Solid, params: &CaptureParams, label: serde_json::Value) ->
         }
     }
     let rig = Rig {
-        format: "translume capture".into(),
-        version: RIG_VERSION.into(),
-        units: "mm".into(),
-        frames: "frames".into(),
-        mesh: "mesh.ply".into(),
-        eta: params.eta,
-        channels: CHANNELS.into_iter().map(channel).collect(),
-        views,
-        laser: Laser {
-            origin_mm: around(0.0, LASER_ELEVATION, laser_far),
-            origins_mm: origins,
-            beam_diameter_mm: params.beam_diameter_mm,
-            power: vec![1.0; CHANNELS.len()],
-            grid: [2 * half as usize + 1; 2],
-            hits_mm: hits,
-        },
         provenance: serde_json::json!({ "simulated": label, "parameters": params }),
+        ..Rig::new(
+            params.eta,
+            CHANNELS.into_iter().map(channel).collect(),
+            views,
+            Laser {
+                origin_mm: around(0.0, LASER_ELEVATION, laser_far),
+                origins_mm: origins,
+                beam_diameter_mm: params.beam_diameter_mm,
+                power: vec![1.0; CHANNELS.len()],
+                grid: [2 * half as usize + 1; 2],
+                hits_mm: hits,
+            },
+        )
     };
     (rig, stops)
 }

@@ -2,7 +2,6 @@
 //!
 //! Catmull–Rom through the keys' origins, targets and up vectors, evenly in the keys' numbers; fields of view linearly.
 
-use crate::cli::Usage;
 use anyhow::{Context as _, anyhow};
 use glam::DVec3;
 use serde::Deserialize;
@@ -79,14 +78,6 @@ pub(crate) fn frame_name(path: &Path, number: usize) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!("{stem}-{number:04}.{extension}"))
-}
-
-/// Refuses what a path does not go with.
-pub(crate) fn check(checkpoint: bool) -> Result<(), Usage> {
-    match checkpoint {
-        true => Err(Usage("--camera-path has no --checkpoint: frames that are done stay".into())),
-        false => Ok(()),
-    }
 }
 
 #[cfg(test)]

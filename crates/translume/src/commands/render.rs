@@ -275,8 +275,8 @@ fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value 
 
 /// Before hours of work: outputs are of the kinds that are written, and can be.
 fn check_outputs(args: &Args) -> anyhow::Result<()> {
-    if args.camera_path.is_some() {
-        camera_path::check(args.checkpoint.is_some())?;
+    if args.camera_path.is_some() && args.checkpoint.is_some() {
+        return Err(Usage("--camera-path has no --checkpoint: frames that are done stay".into()).into());
     }
     let outputs = [
         (Some(&args.output), "picture", "exr"),
@@ -308,12 +308,8 @@ fn method(args: &Args, scene: &Scene, ctx: &Context) -> (String, Settings) {
         ctx.warn(format!("the scene's integrator `{}` is not known here: rendering with `path`", wanted.name));
     }
     let name = args.integrator.clone().unwrap_or_else(|| if known { wanted.name.clone() } else { "path".into() });
-    let settings = Settings {
-        max_depth: args.max_depth.map_or(wanted.max_depth, |n| (n > 0).then_some(n)),
-        rr_depth: wanted.rr_depth,
-        hide_emitters: wanted.hide_emitters,
-        camera_medium: scene.sensors.first().and_then(|s| s.medium),
-    };
+    let own = Settings::of(scene);
+    let settings = Settings { max_depth: args.max_depth.map_or(own.max_depth, |n| (n > 0).then_some(n)), ..own };
     (name, settings)
 }
 

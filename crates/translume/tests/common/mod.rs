@@ -43,3 +43,29 @@ impl Run {
         lines[0].trim_start_matches("translume: error: ").to_owned()
     }
 }
+
+/// An octahedron, each triangle in four parts three times over, on a sphere of radius 6, as OBJ: 258 different vertices.
+pub(crate) fn octahedron() -> String {
+    let mut faces: Vec<[[f64; 3]; 3]> = Vec::new();
+    for signs in 0..8 {
+        let s = [0, 1, 2].map(|k| if signs >> k & 1 == 0 { 1.0 } else { -1.0 });
+        let [a, b, c] = [[s[0], 0.0, 0.0], [0.0, s[1], 0.0], [0.0, 0.0, s[2]]];
+        faces.push(if s[0] * s[1] * s[2] > 0.0 { [a, b, c] } else { [a, c, b] });
+    }
+    let middle = |a: [f64; 3], b: [f64; 3]| {
+        let m = [0, 1, 2].map(|i| a[i] + b[i]);
+        let n = m.iter().map(|x| x * x).sum::<f64>().sqrt();
+        m.map(|x| x / n)
+    };
+    for _ in 0..3 {
+        let split = |[a, b, c]: [[f64; 3]; 3]| {
+            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+            [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+        };
+        faces = faces.into_iter().flat_map(split).collect();
+    }
+    let vertex = |p: &[f64; 3]| format!("v {:.6} {:.6} {:.6}\n", 6.0 * p[0], 6.0 * p[1], 6.0 * p[2]);
+    let corners: String = faces.iter().flatten().map(vertex).collect();
+    let index = |i: usize| format!("f {} {} {}\n", 3 * i + 1, 3 * i + 2, 3 * i + 3);
+    corners + &(0..faces.len()).map(index).collect::<String>()
+}

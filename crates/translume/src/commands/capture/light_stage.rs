@@ -134,12 +134,9 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
 }
 
 fn settings(args: &Args, scene: &Scene) -> Settings {
-    Settings {
-        max_depth: args.max_depth.map_or(scene.integrator.max_depth, |n| (n > 0).then_some(n)),
-        rr_depth: scene.integrator.rr_depth,
-        hide_emitters: true,
-        camera_medium: None,
-    }
+    let own = Settings::of(scene);
+    let max_depth = args.max_depth.map_or(own.max_depth, |n| (n > 0).then_some(n));
+    Settings { max_depth, hide_emitters: true, camera_medium: None, ..own }
 }
 
 /// What is to be rendered, and where to.

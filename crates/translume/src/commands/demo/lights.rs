@@ -36,7 +36,7 @@ pub(super) fn chapter(dir: &Path, _: &Context) -> anyhow::Result<Part> {
     let scene = Arc::new(translume_scene::load(&folder.join("rooms.xml"), &LoadOptions::default())?);
     let world = World::new(scene.clone())?;
     let sensor = scene.sensors.first().context("the demo's scene has a camera")?;
-    let settings = Settings { max_depth: Some(8), rr_depth: 5, hide_emitters: false, camera_medium: None };
+    let settings = Settings::of(&scene);
     let shoot = |method: &str, seconds: u64, seed: u64| -> anyhow::Result<Film> {
         let integrator = integrator::by_name(method, settings).ok_or_else(|| anyhow!("no integrator {method}"))?;
         let shot = Shot::new(&world, &*integrator, sensor, None, seed);

@@ -79,13 +79,7 @@ fn shoot(
     let scene = Arc::new(translume_scene::load(&folder.join("box.xml"), &options)?);
     let world = World::new(scene.clone())?;
     let sensor = scene.sensors.first().context("the demo's scene has a camera")?;
-    let settings = Settings {
-        max_depth: scene.integrator.max_depth,
-        rr_depth: scene.integrator.rr_depth,
-        hide_emitters: scene.integrator.hide_emitters,
-        camera_medium: sensor.medium,
-    };
-    let method = integrator::by_name(method, settings).ok_or_else(|| anyhow!("no integrator {method}"))?;
+    let method = integrator::by_name(method, Settings::of(&scene)).ok_or_else(|| anyhow!("no integrator {method}"))?;
     let shot = Shot::new(&world, &*method, sensor, None, seed);
     let mut film = Film::new(shot.size(), aovs)?;
     let until = Until { samples, time: None };
