@@ -87,7 +87,7 @@ impl<'a> Eye<'a> {
                 way: Way::of(parent.is_none_or(|p| p.delta), false),
                 behind: behind[i],
             };
-            if self.weighing.emitters && v.segments < self.limits.segments {
+            if self.weighing.emitters {
                 let samples = emitter_samples(self.world, y.depth);
                 (0..samples).for_each(|_| radiance += self.lit(&y, samples as f32, &mut emitters, rays));
             }
