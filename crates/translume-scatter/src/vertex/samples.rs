@@ -43,6 +43,9 @@ pub struct MeshCapture {
     pub dark: usize,
     /// Multiple of the noise floor above which a pixel is a sample.
     pub threshold: f64,
+    /// Power of the laser in the frames of each beam, its views and the channels, against what the rig says; empty where that is taken to
+    /// be right.
+    pub gains: Vec<Vec<Vec<f64>>>,
     /// Its mesh, for rays.
     pub surface: Surface,
     /// What each pixel of each view sees.
@@ -67,7 +70,16 @@ impl MeshCapture {
         let surface = Surface::new(capture.mesh.clone());
         let surface = surface.ok_or_else(|| Error::unsupported(&file, "too many triangles"))?;
         let pixels = (0..capture.rig.views.len()).map(|v| seen(&capture, &surface, v)).collect();
-        let mut mesh = Self { capture, beams: Vec::new(), dark: 0, threshold, surface, pixels, views: Vec::new() };
+        let mut mesh = Self {
+            capture,
+            beams: Vec::new(),
+            dark: 0,
+            threshold,
+            gains: Vec::new(),
+            surface,
+            pixels,
+            views: Vec::new(),
+        };
         for position in 0..mesh.capture.rig.laser.hits_mm.len() {
             let views = mesh.lit_views(position)?;
             match views.is_empty() {
@@ -108,11 +120,15 @@ impl MeshCapture {
     /// # Errors
     /// Those of reading frames.
     pub fn reflectance(&self, beam: usize, view: usize, channel: usize) -> Result<Vec<f32>> {
+        let drift = self.gains.get(beam).map_or(1.0, |gains| {
+            let own = self.views[beam].iter().position(|v| *v == view);
+            own.map_or(1.0, |k| gains[k][channel])
+        });
         let beam = &self.beams[beam];
         let frame = self.capture.frames.read(view, beam.position, channel)?;
         let frame = frame.ok_or_else(|| Error::invalid(&self.capture.path, "a frame vanished while it was read"))?;
         let rig = &self.capture.rig;
-        let scale = beam.gain * rig.channels[channel].white_balance / rig.laser.power[channel];
+        let scale = beam.gain / drift * rig.channels[channel].white_balance / rig.laser.power[channel];
         let floor = (self.threshold * rig.channels[channel].noise_floor) as f32;
         let value = |(l, pixel): (&f32, &Option<Pixel>)| match pixel {
             Some(p) if *l > floor && l.is_finite() => (f64::from(*l) * scale * p.inverse) as f32,

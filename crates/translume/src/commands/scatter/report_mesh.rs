@@ -8,7 +8,7 @@ use std::path::Path;
 use translume_scatter::capture::Capture;
 use translume_scatter::planar::ErrorMap;
 use translume_scatter::vertex::{
-    MeshCapture, VertexHead, VertexModel, VertexParams, error_map, fit_vertices, load_vertex_model,
+    FrameGain, MeshCapture, VertexHead, VertexModel, VertexParams, error_map, fit_vertices, load_vertex_model,
 };
 use translume_scatter::{Model, Params};
 
@@ -17,8 +17,9 @@ const RIVALS: [(&str, Model, usize); 2] =
     [("dipole for each vertex", Model::Dipole, 1), ("one exponential", Model::Exponential, 1)];
 
 pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) -> anyhow::Result<Told> {
-    let mesh = MeshCapture::new(opened, threshold)?;
+    let mut mesh = MeshCapture::new(opened, threshold)?;
     let (head, model) = load_vertex_model(&args.model, &mesh)?;
+    FrameGain::restore(&head.gains, &mut mesh);
     let bar = ctx.progress(RIVALS.len() as u64, "fitting");
     let mut rows = vec![Row { name: "this model".into(), errors: error_map(&mesh, &model)? }];
     let mut rivals = Vec::new();
