@@ -30,6 +30,16 @@ fn a_capture_becomes_a_model_and_a_report() {
     assert_eq!(rig["laser"]["hits_mm"].as_array().unwrap().len(), 9);
     let fitted = json(dir, &["scatter", "fit", "a b", "--segments", "4", "-o", "model"]);
     assert_eq!((&fitted["points"], &fitted["fitted"]), (&9.into(), &9.into()));
+    // No lit point sends back more than it got: the mean of ∫ 2πr Σ c e^(dr) dr over its directions.
+    let model: Value = serde_json::from_str(&fs::read_to_string(dir.join("model/model.json")).unwrap()).unwrap();
+    let number = |v: &Value| v.as_f64().unwrap();
+    for fit in model["points"].as_array().unwrap().iter().flat_map(|p| p["fall_off"].as_array().unwrap()) {
+        let term = |(c, d): (&Value, &Value)| std::f64::consts::TAU * number(c) / number(d).powi(2);
+        let total =
+            |s: &Value| s["c"].as_array().unwrap().iter().zip(s["d"].as_array().unwrap()).map(term).sum::<f64>();
+        let mean = fit["segments"].as_array().unwrap().iter().map(total).sum::<f64>() / 4.0;
+        assert!(mean > 0.01 && mean <= 1.0 + 1e-9, "{mean}");
+    }
     let told = json(dir, &["scatter", "report", "a b", "model", "-o", "report"]);
     let models = told["models"].as_array().unwrap();
     let green = |name: &str| models.iter().find(|m| m["model"] == name).unwrap()["ln_e"][1].as_f64().unwrap();

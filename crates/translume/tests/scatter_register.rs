@@ -191,8 +191,21 @@ fn a_registered_capture_is_fitted_like_a_perfect_one() {
 fn a_flat_sample_is_registered_by_its_spots() {
     let dir = tempdir().unwrap();
     let dir = dir.path();
-    let common =
-        ["scatter", "simulate", "homogeneous", "--spots", "4", "--spacing", "2", "--pixels", "24", "--field", "14", "--thickness", "4"];
+    let common = [
+        "scatter",
+        "simulate",
+        "homogeneous",
+        "--spots",
+        "4",
+        "--spacing",
+        "2",
+        "--pixels",
+        "24",
+        "--field",
+        "14",
+        "--thickness",
+        "4",
+    ];
     translume(dir, &[&common[..], &["--photons", "400", "--misregistration", "1", "-o", "c"]].concat()).ok();
     let told = translume(dir, &["scatter", "register", "c", "-o", "r", "--json"]).ok();
     let told: Value = serde_json::from_str(&told).unwrap();
@@ -235,4 +248,47 @@ fn white_is_balanced_by_pictures_of_a_white_target() {
     assert!(register(&["r.pfm", "g.pfm", "black.pfm"], "x").error(1).contains("black.pfm: no white target"));
     assert!(register(&["r.pfm", "g.pfm", "none.pfm"], "x").error(1).contains("none.pfm"));
     assert!(!dir.join("x").exists());
+}
+
+#[test]
+fn the_power_of_a_drifting_laser_is_found_on_a_mesh() {
+    let dir = tempdir().unwrap();
+    let dir = dir.path();
+    // The same photons with and without drift: the ratio of two frames is the true power.
+    let one = ["--photons", "600", "--spacing", "2", "--views", "1", "--cameras", "1", "--pixels", "40"];
+    body(&dir.join("body.obj"));
+    let common = ["scatter", "simulate", "homogeneous", "--mesh", "body.obj"];
+    translume(dir, &[&common[..], &one, &["-o", "steady"]].concat()).ok();
+    translume(dir, &[&common[..], &one, &["--drift", "0.3", "-o", "drifting"]].concat()).ok();
+    let run = translume(dir, &["scatter", "fit", "drifting", "--gains", "--threshold", "0.05", "-o", "m"]);
+    assert!(run.stderr.contains("frames cannot be told"), "{}", run.stderr);
+    run.ok();
+    let light = |name: &str, frame: &Value, channel: usize| {
+        let chunk = format!("{name}/frames/c/{}/{}/{channel}/0/0", frame[0], frame[1]);
+        let packed = fs::read(dir.join(chunk)).unwrap();
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes).unwrap();
+        bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).sum::<f64>()
+    };
+    let model: Value = serde_json::from_str(&fs::read_to_string(dir.join("m/model.json")).unwrap()).unwrap();
+    let (mut left, mut all) = (0.0, 0.0);
+    for channel in 0..3 {
+        let pairs = model["gains"].as_array().unwrap().iter().filter(|g| g["power"][channel] != 1.0).map(|g| {
+            let truth = light("drifting", &g["frame"], channel) / light("steady", &g["frame"], channel);
+            (truth.ln(), g["power"][channel].as_f64().unwrap().ln())
+        });
+        let pairs: Vec<(f64, f64)> = pairs.collect();
+        assert!(pairs.len() >= 10, "{}", pairs.len());
+        let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
+        let (t, f) = (mean(|p| p.0), mean(|p| p.1));
+        left += pairs.iter().map(|p| (p.0 - t - p.1 + f).powi(2)).sum::<f64>();
+        all += pairs.iter().map(|p| (p.0 - t).powi(2)).sum::<f64>();
+    }
+    assert!(left < 0.4 * all, "{left} of {all} are left");
+    // A report takes the powers into account; gains that do not fit the channels are refused.
+    translume(dir, &["scatter", "report", "drifting", "m", "-o", "r"]).ok();
+    let path = dir.join("m/model.json");
+    let text = fs::read_to_string(&path).unwrap().replacen("\"power\":[", "\"power\":[-1.0,", 1);
+    fs::write(&path, text).unwrap();
+    assert!(translume(dir, &["scatter", "report", "drifting", "m", "-o", "x"]).error(1).contains("gains"));
 }

@@ -13,9 +13,15 @@ use super::samples::{MeshCapture, Pixel};
 use crate::capture::{dot, norm, normalize, sub};
 use crate::gains::{PAIRS, SEEN, solve};
 use rayon::prelude::*;
+use std::f64::consts::TAU;
 use translume_image::Result;
 
-/// For each beam the pixels of a view that its light would fall on, and the beam's profile there; none where the view does not see it.
+/// Places that are lit at a smaller cosine are not compared: light goes far before it is scattered.
+const LEAST_COS: f64 = 0.5;
+/// A view sees a place of which it sees this share of the beam's profile: with less it would see light farther or nearer than it is.
+const WHOLE: f64 = 0.8;
+
+/// For each beam the pixels of a view that its light would fall on, and the beam's profile on the area there; none where the view does not see it.
 type Footprints = Vec<Vec<(u32, f64)>>;
 /// What a frame shows at the places of other beams.
 type Received = Vec<(usize, f64)>;
@@ -52,7 +58,7 @@ fn footprints(mesh: &MeshCapture, view: usize) -> Footprints {
         let at = beam.at;
         let origin = mesh.capture.rig.laser.origin(beam.position);
         let direction = normalize(sub(at, origin));
-        let Some(px) = camera.project(at) else { return Vec::new() };
+        let Some(px) = camera.project(at).filter(|_| beam.cos >= LEAST_COS) else { return Vec::new() };
         let pixel_mm = norm(sub(camera.eye(), at)) / camera.focal_px;
         let inside = |x: f64, n: usize| (0.0..n as f64).contains(&x);
         if !(inside(px[0], camera.width) && inside(px[1], camera.height)) {
@@ -64,6 +70,7 @@ fn footprints(mesh: &MeshCapture, view: usize) -> Footprints {
         if !mesh.pixels[view][own].as_ref().is_some_and(near) {
             return Vec::new();
         }
+        let sigma = diameter / 4.0;
         let reach = diameter / pixel_mm + 1.0;
         let span = |c: f64, n: usize| (c - reach).max(0.0) as usize..((c + reach) as usize + 1).min(n);
         let mut found = Vec::new();
@@ -72,17 +79,21 @@ fn footprints(mesh: &MeshCapture, view: usize) -> Footprints {
             let d = sub(pixel.at, at);
             let along = dot(d, direction);
             let across = (dot(d, d) - along * along).max(0.0);
-            let weight = (-0.5 * across / (diameter / 4.0).powi(2)).exp();
-            if weight > 1e-3 {
-                found.push((i as u32, weight));
+            let profile = (-0.5 * across / sigma.powi(2)).exp();
+            if profile > 1e-3 {
+                found.push((i as u32, profile * pixel_mm * pixel_mm / f64::from(pixel.cos)));
             }
         }
-        found
+        let sum: f64 = found.iter().map(|f| f.1).sum();
+        match sum * beam.cos < WHOLE * TAU * sigma * sigma {
+            true => Vec::new(),
+            false => found,
+        }
     };
     mesh.beams.iter().map(of).collect()
 }
 
-/// What a frame shows at the places of other beams that are near: their numbers, and the logarithm of R_d under their profile.
+/// What a frame shows at the places of other beams that are near: their numbers, and the mean logarithm of R_d under their profile.
 fn received(mesh: &MeshCapture, footprints: &Footprints, from: usize, view: usize, channel: usize) -> Result<Received> {
     let values = mesh.reflectance(from, view, channel)?;
     let diameter = mesh.capture.rig.laser.beam_diameter_mm;
@@ -96,10 +107,10 @@ fn received(mesh: &MeshCapture, footprints: &Footprints, from: usize, view: usiz
             let value = f64::from(values[pixel as usize]);
             all += weight;
             if value > 0.0 {
-                (sum, seen) = (sum + weight * value, seen + weight);
+                (sum, seen) = (sum + weight * value.ln(), seen + weight);
             }
         }
-        (seen > 0.0 && seen >= SEEN * all).then(|| (to, (sum / seen).ln()))
+        (seen > 0.0 && seen >= SEEN * all).then(|| (to, sum / seen))
     };
     Ok((0..mesh.beams.len()).filter(near).filter_map(under).collect())
 }

@@ -16,6 +16,8 @@ pub(super) struct Pixel {
     pub(super) at: [f64; 3],
     pub(super) face: u32,
     pub(super) uv: [f32; 2],
+    /// Cosine of the line of sight.
+    pub(super) cos: f32,
     /// 1/F_t towards the camera.
     inverse: f64,
 }
@@ -27,6 +29,8 @@ pub struct Beam {
     pub position: usize,
     /// Where it hits, in mm.
     pub at: [f64; 3],
+    /// Cosine of incidence, 0.05 at least.
+    pub cos: f64,
     /// Triangle of the mesh that it hits, and weights of its corners.
     pub on: Option<(u32, [f64; 3])>,
     /// R_d per radiance, without the pixel's Fresnel factor, for power 1.
@@ -112,7 +116,7 @@ impl MeshCapture {
         let cos = place.map_or(1.0, |p| -dot(direction, p.normal.as_dvec3().to_array())).max(0.05);
         let entered = f64::from(1.0 - fresnel::dielectric(cos as f32, self.capture.rig.eta as f32).reflectance);
         let on = place.map(|p| (p.face, Surface::weights(&p)));
-        Beam { position, at, on, gain: PI / entered }
+        Beam { position, at, cos, on, gain: PI / entered }
     }
 
     /// R_d in mm⁻² for all pixels of a view's frame of a beam; 0 where it is no sample.
@@ -187,7 +191,8 @@ fn seen(capture: &Capture, surface: &Surface, view: usize) -> Vec<Option<Pixel>>
     let pixel = |i: usize| {
         let (place, cos) = all[i].filter(|(_, cos)| *cos >= GRAZING && inner(i))?;
         let through = f64::from(1.0 - fresnel::dielectric(cos as f32, capture.rig.eta as f32).reflectance);
-        Some(Pixel { at: place.at, face: place.face, uv: place.uv, inverse: 1.0 / through.max(1e-6) })
+        let cos = cos as f32;
+        Some(Pixel { at: place.at, face: place.face, uv: place.uv, cos, inverse: 1.0 / through.max(1e-6) })
     };
     (0..w * h).map(pixel).collect()
 }

@@ -132,7 +132,14 @@ fn params(args: &Args) -> anyhow::Result<Option<Params>> {
     if args.free_scale && !matches!(model, Model::Dipole | Model::BetterDipole) {
         return Err(Usage("--free-scale: only the dipoles have a scale of their own".into()).into());
     }
-    Ok(Some(Params { model, terms: args.terms, segments: args.segments, eta: args.eta, free_scale: args.free_scale }))
+    Ok(Some(Params {
+        model,
+        terms: args.terms,
+        segments: args.segments,
+        eta: args.eta,
+        free_scale: args.free_scale,
+        most: None,
+    }))
 }
 
 fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {
@@ -199,7 +206,8 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
         capture.gains = estimate_gains(&capture)?;
         tell_gains(capture.gains.iter().flatten(), ctx)?;
     }
-    let fit = Params { eta: capture.capture.rig.eta, ..fit };
+    // No more light comes back than came in.
+    let fit = Params { eta: capture.capture.rig.eta, most: Some(1.0), ..fit };
     let params = PlanarParams { fit, shared: args.shared, ..PlanarParams::default() };
     let bar = ctx.progress(capture.spots.len() as u64, "fitting");
     let model = fit_planar(&capture, &params, || bar.inc(1))?;
@@ -303,6 +311,15 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
 }
 
 fn tell_gains<'a>(gains: impl Iterator<Item = &'a f64>, ctx: &Context) -> anyhow::Result<()> {
-    let (low, high) = gains.fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(*g), h.max(*g)));
-    ctx.text(format!("power of the laser from {low:.3} to {high:.3} of what the rig says"))
+    let all: Vec<f64> = gains.copied().collect();
+    let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(*g), h.max(*g)));
+    ctx.text(format!("power of the laser from {low:.3} to {high:.3} of what the rig says"))?;
+    let alone = all.iter().filter(|g| **g == 1.0).count();
+    if alone > 0 {
+        ctx.warn(format!(
+            "the power in {alone} of {} frames cannot be told: no neighbouring position saw the same place",
+            all.len()
+        ));
+    }
+    Ok(())
 }

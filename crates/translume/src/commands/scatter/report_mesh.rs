@@ -25,7 +25,7 @@ pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) 
     let mut rivals = Vec::new();
     for (name, kind, terms) in RIVALS {
         let eta = mesh.capture.rig.eta;
-        let fit = Params { model: kind, segments: 1, terms, eta, free_scale: kind == Model::Dipole };
+        let fit = Params { model: kind, segments: 1, terms, eta, free_scale: kind == Model::Dipole, most: None };
         let rival = fit_vertices(&mesh, &VertexParams { fit, ..VertexParams::default() }, || ())?;
         rows.push(Row { name: name.into(), errors: error_map(&mesh, &rival)? });
         rivals.push(rival);

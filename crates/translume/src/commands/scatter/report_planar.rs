@@ -37,6 +37,7 @@ pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) 
             terms: head.terms,
             eta: capture.capture.rig.eta,
             free_scale: kind == Model::Dipole,
+            most: Some(1.0),
         };
         let rival = fit_planar(&capture, &PlanarParams { fit, shared, ..PlanarParams::default() }, || ())?;
         rows.push(Row { name: name.into(), errors: error_map(&capture, &rival)? });
