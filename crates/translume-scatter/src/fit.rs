@@ -147,36 +147,36 @@ impl Fitter {
     /// floor and left out.
     pub fn fit(&mut self, samples: &[[f32; 3]]) -> PointFit {
         let not_finite = self.take(samples);
-        let mut found = PointFit { samples: self.samples.len(), not_finite, ..PointFit::default() };
+        let free = PointFit { not_finite, ..self.fit_taken(None) };
+        // Most fits keep to the bound by themselves, and the best of those is the free one.
+        match self.most().filter(|most| free.total() > *most) {
+            Some(most) => PointFit { not_finite, ..self.fit_taken(Some(most)) },
+            None => free,
+        }
+    }
+
+    /// Fits the samples that were taken.
+    fn fit_taken(&mut self, most: Option<f64>) -> PointFit {
+        let mut found = PointFit { samples: self.samples.len(), ..PointFit::default() };
         let m = self.params.segments;
         samples_of(&self.samples, 0, 1, &mut self.data);
-        let Some((whole, cost)) = self.fit_data() else { return found };
+        let Some((whole, cost)) = self.fit_data(most) else { return found };
         if m == 1 {
             found.rms = Some((cost / found.samples as f64).sqrt());
             found.segments = vec![Segment { curve: whole, samples: found.samples as f64, borrowed: false }];
-            self.darken(&mut found);
+            darken(&mut found, most);
             return found;
         }
-        found.segments = (0..m).map(|l| self.fit_segment(l, &whole)).collect();
-        self.refine(&mut found.segments);
-        if self.most().is_some_and(|most| found.total() > most * ROUNDING) {
+        found.segments = (0..m).map(|l| self.fit_segment(l, &whole, most)).collect();
+        self.refine(&mut found.segments, most);
+        if most.is_some_and(|most| found.total() > most * ROUNDING) {
             // What no refinement made dark enough becomes the same in all directions.
             let curve = |s: &Segment| Segment { curve: whole.clone(), borrowed: true, ..*s };
             found.segments = found.segments.iter().map(curve).collect();
         }
-        self.darken(&mut found);
+        darken(&mut found, most);
         found.rms = self.rms(&found);
         found
-    }
-
-    /// Takes away what the stiffness of the bound has left above it.
-    fn darken(&self, found: &mut PointFit) {
-        let Some(excess) = self.most().map(|most| found.total() / most).filter(|e| *e > 1.0) else { return };
-        for segment in &mut found.segments {
-            if let Curve::Exponential(sum) = &mut segment.curve {
-                sum.c.iter_mut().for_each(|c| *c /= excess);
-            }
-        }
     }
 
     /// The dipoles keep to it by themselves, but for their free scale.
@@ -207,20 +207,20 @@ impl Fitter {
         not_finite
     }
 
-    fn fit_segment(&mut self, l: usize, whole: &Curve) -> Segment {
+    fn fit_segment(&mut self, l: usize, whole: &Curve, most: Option<f64>) -> Segment {
         samples_of(&self.samples, l, self.params.segments, &mut self.data);
         let samples = self.data.iter().map(|d| d.weight).sum();
         let enough = samples >= FEWEST;
-        match self.fit_data().filter(|_| enough) {
+        match self.fit_data(most).filter(|_| enough) {
             Some((curve, _)) => Segment { curve, samples, borrowed: false },
             None => Segment { curve: whole.clone(), samples, borrowed: true },
         }
     }
 
     /// Fits `self.data`.
-    fn fit_data(&mut self) -> Option<(Curve, f64)> {
+    fn fit_data(&mut self, most: Option<f64>) -> Option<(Curve, f64)> {
         if self.params.model == Model::Exponential {
-            let (sum, cost) = fit_sum(&self.data, self.params.terms, self.params.most, &mut self.scratch)?;
+            let (sum, cost) = fit_sum(&self.data, self.params.terms, most, &mut self.scratch)?;
             return Some((Curve::Exponential(sum), cost));
         }
         let reach = self.data.iter().map(|d| d.r).fold(0.0, f64::max);
@@ -235,7 +235,7 @@ impl Fitter {
     }
 
     /// Refines segments of exponentials together; those of the baselines stay as they were fitted.
-    fn refine(&mut self, segments: &mut [Segment]) {
+    fn refine(&mut self, segments: &mut [Segment], most: Option<f64>) {
         let sums: Option<Vec<_>> = segments
             .iter()
             .map(|s| match &s.curve {
@@ -245,7 +245,7 @@ impl Fitter {
             .collect();
         if let Some(mut sums) = sums {
             let fixed: Vec<bool> = segments.iter().map(|s| s.borrowed).collect();
-            refine(&mut self.samples, &mut sums, (&fixed, self.params.most), &mut self.scratch);
+            refine(&mut self.samples, &mut sums, (&fixed, most), &mut self.scratch);
             segments.iter_mut().zip(sums).for_each(|(s, sum)| s.curve = Curve::Exponential(sum));
         }
     }
@@ -254,5 +254,15 @@ impl Fitter {
         let model = found.evaluator()?;
         let square = |s: &Directed| (model.blended(s.r, s.segment, s.blend).ln() - s.ln).powi(2);
         Some((self.samples.iter().map(square).sum::<f64>() / self.samples.len() as f64).sqrt())
+    }
+}
+
+/// Takes away what the stiffness of the bound has left above it.
+fn darken(found: &mut PointFit, most: Option<f64>) {
+    let Some(excess) = most.map(|most| found.total() / most).filter(|e| *e > 1.0) else { return };
+    for segment in &mut found.segments {
+        if let Curve::Exponential(sum) = &mut segment.curve {
+            sum.c.iter_mut().for_each(|c| *c /= excess);
+        }
     }
 }

@@ -201,7 +201,12 @@ pub(crate) fn refine(
     }
     let families: Vec<Sums> = segments.iter().map(|s| Sums::new(s.c.len(), reach, None)).collect();
     let problem = Blended { samples, families, offsets, fixed, most };
-    if minimise(&problem, &mut x, Limits { steps: 25, tolerance: 1e-4 }, &mut scratch.lm).is_none() {
+    // Along a bound the steps are short.
+    let limits = match most {
+        None => Limits { steps: 25, tolerance: 1e-4 },
+        Some(_) => Limits { steps: 150, tolerance: 1e-6 },
+    };
+    if minimise(&problem, &mut x, limits, &mut scratch.lm).is_none() {
         return;
     }
     let part = |l: usize| &x[problem.offsets[l]..problem.offsets[l + 1]];

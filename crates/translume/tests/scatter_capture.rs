@@ -233,18 +233,33 @@ fn a_grid_is_a_medium() {
     [1i32, 2, 1, 1, 1].iter().for_each(|n| vol.extend(n.to_le_bytes()));
     [0.0f32, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0].iter().for_each(|x| vol.extend(x.to_le_bytes()));
     fs::write(dir.join("two.vol"), vol).unwrap();
-    let capture = |name: &str, offset: &str| {
-        let common = ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--field", "16"];
-        let more = ["--photons", "200", "--noise-free", "--spots", "2", "--spacing", offset, "-o", name];
-        translume(dir, &[&common[..], &more].concat()).ok();
-    };
-    capture("c", "8");
+    let common = ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--field", "16"];
+    let more = ["--photons", "200", "--noise-free", "--spots", "2", "--spacing", "8", "-o"];
+    translume(dir, &[&common[..], &more, &["c"]].concat()).ok();
+    translume(dir, &[&common[..], &more, &["solid", "--base", "2"]].concat()).ok();
     // Where nothing scatters, nothing comes back: the frames of the right spots are darker.
-    let light = |position: usize| {
-        let packed = fs::read(dir.join(format!("c/frames/c/0/{position}/1/0/0"))).unwrap();
+    let light = |name: &str, position: usize| {
+        let packed = fs::read(dir.join(format!("{name}/frames/c/0/{position}/1/0/0"))).unwrap();
         let mut bytes = Vec::new();
         std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes).unwrap();
         bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).sum::<f64>()
     };
-    assert!(light(0) > 5.0 * light(1), "{} {}", light(0), light(1));
+    let [left, right] = [light("c", 0), light("c", 1)];
+    assert!(left > 5.0 * right, "{left} {right}");
+    // With the same extinction everywhere both sides are alike.
+    let [left, right] = [light("solid", 0), light("solid", 1)];
+    assert!((left / right).ln().abs() < 0.4, "{left} {right}");
+
+    // Something solid around it, and numbers that are no density.
+    let with = |more: &[&str]| {
+        let common =
+            ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--photons", "20", "-o", "d"];
+        translume(dir, &[&common[..], more].concat())
+    };
+    assert!(with(&["--base", "-1"]).error(2).contains("--base"));
+    let mut bytes = fs::read(dir.join("two.vol")).unwrap();
+    let last = bytes.len() - 4;
+    bytes[last..].copy_from_slice(&(-1.0f32).to_le_bytes());
+    fs::write(dir.join("two.vol"), bytes).unwrap();
+    assert!(with(&[]).error(1).contains("must not be negative"));
 }
