@@ -95,7 +95,7 @@ impl Sample {
 
 /// A model from outside this crate, as measured materials are. The contract is that of the crate's front page, at the
 /// texture coordinates `uv`.
-pub trait CustomBsdf: Send + Sync {
+pub trait CustomBsdf: Send + Sync + std::fmt::Debug {
     /// Value (without cosine) and density per solid angle.
     fn eval_pdf(&self, uv: Vec2, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32);
     /// Draws `wi`.

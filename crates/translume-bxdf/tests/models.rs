@@ -22,6 +22,7 @@ fn coats() -> Vec<Coat> {
 }
 
 /// A model from outside, here a grey sheet whose albedo depends on the place.
+#[derive(Debug)]
 struct Outside;
 
 static FORWARDED: Outside = Outside;

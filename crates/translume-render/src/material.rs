@@ -131,6 +131,7 @@ impl<'a> Shader<'a, '_> {
                 .into()
             }
             Model::Principled(p) => self.principled(p).into(),
+            Model::Measured(model) => bxdf::Custom { model: &**model, uv: self.place.uv }.into(),
             Model::Subsurface(s) => self.skin(id, s),
             Model::TwoSided { front, back } => {
                 let behind = self.hit.wo.dot(self.frame.n) < 0.0;

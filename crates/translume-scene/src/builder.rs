@@ -3,11 +3,11 @@
 use crate::check;
 use crate::scene::{LoadOptions, MaterialId, Scene, TextureId};
 use crate::texture::Texture;
-use crate::{Error, Result, material, vol};
+use crate::{Error, Result, material, rgl, vol};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use translume_bxdf::Rgb;
+use translume_bxdf::{CustomBsdf, Rgb};
 use translume_image::{Picture, Rgb32FImage, Samples};
 use translume_mesh::{ReadOptions, TriMesh};
 
@@ -51,6 +51,7 @@ pub(crate) struct Builder {
     meshes: HashMap<MeshKey, Mesh>,
     images: HashMap<(PathBuf, bool), Arc<Picture>>,
     grids: HashMap<PathBuf, Arc<vol::Loaded>>,
+    measured: HashMap<PathBuf, Arc<dyn CustomBsdf>>,
     constants: HashMap<[u32; 3], TextureId>,
     default_material: HashMap<u32, MaterialId>,
 }
@@ -64,6 +65,7 @@ impl Builder {
             meshes: HashMap::new(),
             images: HashMap::new(),
             grids: HashMap::new(),
+            measured: HashMap::new(),
             constants: HashMap::new(),
             default_material: HashMap::new(),
         }
@@ -200,6 +202,14 @@ impl Builder {
         let grid = Arc::new(vol::read(path)?);
         self.grids.insert(path.to_owned(), grid.clone());
         Ok(grid)
+    }
+
+    /// A measured reflectance.
+    pub(crate) fn measured(&mut self, path: &Path) -> Result<material::Model> {
+        let known = self.measured.get(path).cloned();
+        let model = known.map_or_else(|| Ok::<_, Error>(Arc::new(rgl::read(path)?) as Arc<dyn CustomBsdf>), Ok)?;
+        self.measured.insert(path.to_owned(), model.clone());
+        Ok(material::Model::Measured(model))
     }
 
     /// The scene, after a look at what no front end should let pass.

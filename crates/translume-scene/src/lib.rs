@@ -24,6 +24,7 @@ pub mod material;
 pub mod medium;
 pub mod mitsuba;
 pub mod pbrt;
+mod rgl;
 mod scene;
 pub mod sensor;
 mod spectrum;

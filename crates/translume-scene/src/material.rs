@@ -4,7 +4,7 @@
 
 use crate::{MaterialId, TextureId};
 use std::sync::Arc;
-use translume_bxdf::{Bssrdf, Distribution};
+use translume_bxdf::{Bssrdf, CustomBsdf, Distribution};
 
 /// A material.
 #[derive(Clone, Debug)]
@@ -59,6 +59,8 @@ pub enum Model {
     },
     /// Disney's principled model.
     Principled(Box<Principled>),
+    /// A measured reflectance.
+    Measured(Arc<dyn CustomBsdf>),
     /// A translucent object: light comes out elsewhere than it went in.
     Subsurface(Box<Subsurface>),
     /// Seen from behind (against the normal) it is `back`, turned over.

@@ -141,6 +141,10 @@ fn cie(nm: f64) -> [f64; 4] {
 
 /// Colour of a spectrum given as a function of the wavelength in nm. Colours outside Rec. 709 are clipped at 0.
 fn integrate(spectrum: impl Fn(f64) -> f64, quantity: Quantity) -> Rgb {
+    unclipped(spectrum, quantity).max(DVec3::ZERO).as_vec3()
+}
+
+fn unclipped(spectrum: impl Fn(f64) -> f64, quantity: Quantity) -> DVec3 {
     let (mut xyz, mut white) = (DVec3::ZERO, 0.0);
     for nm in 360..=830 {
         let [x, y, z, d65] = cie(f64::from(nm));
@@ -148,20 +152,36 @@ fn integrate(spectrum: impl Fn(f64) -> f64, quantity: Quantity) -> Rgb {
         xyz += DVec3::new(x, y, z) * light * spectrum(f64::from(nm));
         white += y * light;
     }
-    (RGB_FROM_XYZ * (xyz / white)).max(DVec3::ZERO).as_vec3()
+    RGB_FROM_XYZ * (xyz / white)
 }
 
 /// Colour of a spectrum given at increasing wavelengths (nm), linear between and zero outside.
 pub(crate) fn sampled(samples: &[(f64, f64)], quantity: Quantity) -> Rgb {
-    let value = |nm: f64| {
+    integrate(linear(samples), quantity)
+}
+
+/// What a reflectance given at increasing wavelengths (nm) adds to red, green and blue for each of its values; linear between, so
+/// not clipped. The ends go on, as a spectrometer's range says nothing of what is beyond.
+pub(crate) fn reflectance_weights(nm: &[f64]) -> Vec<[f64; 3]> {
+    let one = |i: usize| {
+        let samples: Vec<_> = nm.iter().enumerate().map(|(k, &w)| (w, f64::from(u8::from(k == i)))).collect();
+        let inside = linear(&samples);
+        let value = |w: f64| inside(w.clamp(nm[0], nm[nm.len() - 1]));
+        unclipped(value, Quantity::Factor).to_array()
+    };
+    (0..nm.len()).map(one).collect()
+}
+
+/// The function that is linear between samples and zero outside.
+fn linear(samples: &[(f64, f64)]) -> impl Fn(f64) -> f64 {
+    |nm: f64| {
         let after = samples.partition_point(|s| s.0 < nm);
         match (after.checked_sub(1).map(|i| samples[i]), samples.get(after)) {
             (_, Some(&(at, v))) if at == nm => v,
             (Some((w0, v0)), Some(&(w1, v1))) => v0 + (v1 - v0) * (nm - w0) / (w1 - w0),
             _ => 0.0,
         }
-    };
-    integrate(value, quantity)
+    }
 }
 
 /// Colour of the constant spectrum `value`.

@@ -19,7 +19,7 @@
 
 use super::direct::MOST_CROSSINGS;
 use super::{Integrator, Settings, Work};
-use crate::light::{End, LightPoint, LightSample};
+use crate::light::{LightPoint, LightSample};
 use crate::splat::Splat;
 use crate::subpath::{self, Density, Escape, LightPath, Limits, Vertex, Walk, scattering};
 use crate::world::{Shading, World};
@@ -306,11 +306,7 @@ impl Sample<'_, '_> {
         if visible == Rgb::ZERO {
             return visible;
         }
-        let point = match &sample.end {
-            End::Surface(q) => LightPoint { light, p: q.p, n: q.ng, far: false },
-            End::Point(q) => LightPoint { light, p: *q, n: Vec3::ZERO, far: false },
-            End::Far => LightPoint { light, p: Vec3::ZERO, n: Vec3::ZERO, far: true },
-        };
+        let point = sample.point(light);
         let distance = (point.p - p).length();
         let direct = f64::from(point.from_solid_angle(sample.pdf_w, wi, distance));
         let (begin, next) = world.lights().pdf_start(world.lights().by_power(), &point, -wi);

@@ -52,6 +52,17 @@ pub struct LightSample {
     pub end: End,
 }
 
+impl LightSample {
+    /// The light's point; `light` is its number.
+    pub fn point(&self, light: usize) -> LightPoint {
+        match &self.end {
+            End::Surface(q) => LightPoint { light, p: q.p, n: q.ng, far: false },
+            End::Point(q) => LightPoint { light, p: *q, n: Vec3::ZERO, far: false },
+            End::Far => LightPoint { light, p: Vec3::ZERO, n: Vec3::ZERO, far: true },
+        }
+    }
+}
+
 /// The begin of a light path.
 #[derive(Clone, Copy, Debug)]
 pub struct LightStart {

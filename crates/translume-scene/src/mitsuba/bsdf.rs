@@ -57,6 +57,10 @@ impl Loader {
             "plastic" => Model::Plastic(self.plastic(object)?),
             "roughplastic" => self.rough_plastic(object)?,
             "principled" => self.principled(object)?,
+            "measured" => {
+                let path = self.file(object, "filename")?;
+                self.builder.measured(&path).map_err(|e| e.at(&object.place.file, object.place.line))?
+            }
             "subsurface" => self.subsurface_bsdf(object)?,
             "phong" | "ward" => self.phong_or_ward(object)?,
             "twosided" => {

@@ -33,6 +33,7 @@ impl Loader {
             "thindielectric" => (Model::ThinDielectric(self.glass(p)?), false),
             "coateddiffuse" => (self.coated(p)?, true),
             "mix" => (self.mix(p)?, false),
+            "measured" => (self.measured(p)?, true),
             "subsurface" => (self.subsurface(p)?, false),
             _ => return Err(p.place.unsupported(format!("material {kind:?} is not supported"))),
         };
@@ -277,6 +278,12 @@ impl Loader {
             }
             _ => Err(p.place.unsupported(format!("texture {class:?} is not supported"))),
         }
+    }
+
+    /// A file of RGL's material database.
+    fn measured(&mut self, p: &Parameters) -> Result<Model> {
+        let file = p.text("filename")?.ok_or_else(|| p.place.invalid("a measured material has no \"filename\""))?;
+        self.builder.measured(&self.folder.join(file)).map_err(|e| e.at(&p.place.file, p.place.line))
     }
 
     /// Texture coordinates by the parameters of a "uv" mapping.

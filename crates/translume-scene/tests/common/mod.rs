@@ -99,6 +99,11 @@ pub(crate) fn check(scene: &Scene) {
 
 /// Damages `seed` at random, many times, and sees that loading gives a sound scene or an error, and returns.
 pub(crate) fn survives(name: &str, seed: &[u8], rounds: u64, folder: &Folder) {
+    survives_within(&folder.path(name), name, seed, rounds, folder);
+}
+
+/// The same for the file `name` that `scene` names.
+pub(crate) fn survives_within(scene: &Path, name: &str, seed: &[u8], rounds: u64, folder: &Folder) {
     let mut loaded = 0;
     for round in 0..rounds {
         let mut rng = translume_core::rng::Pcg32::new(round, 7);
@@ -106,9 +111,9 @@ pub(crate) fn survives(name: &str, seed: &[u8], rounds: u64, folder: &Folder) {
         for _ in 0..1 + rng.next_u32() % 4 {
             damage(&mut bytes, &mut rng);
         }
-        let path: &Path = &folder.write(name, &bytes);
+        folder.write(name, &bytes);
         for lenient in [false, true] {
-            if let Ok(scene) = load(path, &LoadOptions { lenient, ..LoadOptions::default() }) {
+            if let Ok(scene) = load(scene, &LoadOptions { lenient, ..LoadOptions::default() }) {
                 check(&scene);
                 loaded += 1;
             }

@@ -95,6 +95,7 @@ fn material_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
         Model::Plastic(_) => "plastic",
         Model::RoughPlastic { .. } => "rough plastic",
         Model::Principled(_) => "principled",
+        Model::Measured(_) => "measured",
         Model::Subsurface(_) => "subsurface",
         Model::TwoSided { .. } => "two-sided",
         Model::Mask { .. } => "mask",

@@ -47,14 +47,14 @@ impl Linker<'_> {
         let to_y = -arrival.wi;
         let frame = Frame::from_normal(to_y);
         // Whether the hit of a ray of this density per solid angle (parallel light: per area across) is a success.
-        let mut hits = |target: Vec3, pdf: f32| {
+        let mut hits = |target: Vec3, pdf: f32, u: f32| {
             *rays += 1;
             let ray = self.lights.ray_beside(self.world, v, target);
             let Some((point, t)) = self.world.arrive(&ray) else { return false };
             let reach = self.reach(v, t);
             let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
             let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
-            point.p.distance_squared(center) <= radius * radius
+            u < self.kernel(point.p.distance_squared(center), radius)
         };
         if let Parent::Start(start) = parent
             && matches!(start.origin, End::Far)
@@ -64,7 +64,7 @@ impl Linker<'_> {
             let trials = until(|| {
                 let u = sampler.next_2d();
                 let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * radius).extend(0.0));
-                hits(center + beside, pdf)
+                hits(center + beside, pdf, sampler.next_1d())
             });
             return trials / (PI * radius * radius * pdf);
         }
@@ -96,7 +96,7 @@ impl Linker<'_> {
                     return false;
                 };
                 let inside = !s.flags.contains(Flags::DELTA) && s.wi.dot(to_y) >= cos;
-                inside && hits(origin + s.wi * distance, s.pdf_w)
+                inside && hits(origin + s.wi * distance, s.pdf_w, sampler.next_1d())
             });
         }
         let most = bounded.unwrap_or(1.0);
@@ -104,7 +104,7 @@ impl Linker<'_> {
             let u = sampler.next_2d();
             let d = frame.to_world(warp::uniform_cone(u.x, u.y, cos));
             let pdf = density(d);
-            sampler.next_1d() * most < pdf && hits(origin + d * distance, pdf)
+            sampler.next_1d() * most < pdf && hits(origin + d * distance, pdf, sampler.next_1d())
         });
         trials * warp::uniform_cone_pdf(cos) / most
     }

@@ -1,14 +1,16 @@
-//! Camera paths of a step: their vertices wait for links; lights that they meet count at once.
+//! Camera paths of a step: their vertices wait for links; lights that they meet, or that emitter sampling finds, count at once.
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
+use super::super::direct::MOST_CROSSINGS;
 use super::weight::{Way, Weighing};
 use crate::light::{LightPoint, Starts};
-use crate::subpath::{Density, Escape, Limits, Vertex, Walk};
+use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
 use crate::world::{Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
 use translume_bxdf::Mode;
+use translume_core::sampler::Sampler;
 use translume_trace::Ray;
 
 /// Where a camera path met a surface that links can end at.
@@ -62,16 +64,17 @@ impl<'a> Eye<'a> {
         let (escape, _) = walk.run(begin, None, sampler, rays, buffer);
         let (mut behind, mut depths) = (Vec::with_capacity(buffer.len()), Vec::with_capacity(buffer.len()));
         let mut radiance = Rgb::ZERO;
+        let mut emitters = sampler.branch(0x656d_6974);
         for (i, v) in buffer.iter().enumerate() {
             behind.push(self.behind(buffer, &behind, v.parent));
             depths.push(depths.get(v.parent as usize).map_or(0, |d| d + 1));
-            radiance += self.emitted(buffer, v, behind[i]);
+            radiance += self.emitted(buffer, v, depths[i], behind[i]);
             let shading = self.world.shading(&v.hit);
             if !shading.flags().has_smooth() || v.segments >= self.limits.segments {
                 continue;
             }
             let parent = buffer.get(v.parent as usize);
-            out.push(EyeVertex {
+            let y = EyeVertex {
                 hit: v.hit,
                 shading,
                 throughput: v.throughput,
@@ -83,10 +86,16 @@ impl<'a> Eye<'a> {
                 before: parent.map_or(1.0, |p| p.pdf),
                 way: Way::of(parent.is_none_or(|p| p.delta), false),
                 behind: behind[i],
-            });
+            };
+            if self.weighing.emitters && v.segments < self.limits.segments {
+                let samples = emitter_samples(y.depth);
+                (0..samples).for_each(|_| radiance += self.lit(&y, samples as f32, &mut emitters, rays));
+            }
+            out.push(y);
         }
         if let Some(escape) = escape {
-            radiance += self.escaped(buffer, &escape, self.behind(buffer, &behind, escape.parent));
+            let depth = depths.get(escape.parent as usize).copied().unwrap_or(0);
+            radiance += self.escaped(buffer, &escape, depth, self.behind(buffer, &behind, escape.parent));
         }
         radiance
     }
@@ -99,17 +108,56 @@ impl<'a> Eye<'a> {
         self.weighing.add(way, above.pdf_back, above.pdf_back / above.pdf, behind[parent as usize])
     }
 
-    fn emitted(&self, path: &[Vertex], v: &Vertex, behind: f32) -> Rgb {
+    /// One of `samples` of the light that falls on `y`.
+    fn lit(&self, y: &EyeVertex, samples: f32, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
+        let (world, lights) = (self.world, self.world.lights());
+        let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
+        let n = world.receiving_normal(&y.hit, &y.shading);
+        let p = y.hit.point.p;
+        let Some((light, sample)) = lights.sample_numbered(world.scene(), p, n, u_choice, u) else { return Rgb::ZERO };
+        let Some(here) = scattering(world, &y.hit, &y.shading, sample.wi, y.hit.wo) else { return Rgb::ZERO };
+        *rays += 1;
+        let segment = World::segment(&y.hit.point, sample.wi, &sample.end);
+        let crossings = (self.limits.segments - y.segments - 1).min(MOST_CROSSINGS);
+        let visible = world.transmittance(&segment, crossings);
+        if visible == Rgb::ZERO {
+            return Rgb::ZERO;
+        }
+        let point = sample.point(light);
+        let distance = (point.p - p).length();
+        let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
+        let own = samples * per_point(sample.pdf_w);
+        let met = if sample.delta { 0.0 } else { self.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
+        let (begin, next) = lights.pdf_start(self.starts, &point, -sample.wi);
+        let density = if point.far { Density::Parallel(next) } else { Density::Angle { from: point.p, pdf_w: next } };
+        let onto_y = density.at(p, y.hit.n(), sample.wi);
+        let back = here.pdf_to_camera * y.back;
+        let inner = self.weighing.add(y.way, back, back / y.before, y.behind);
+        let merged = self.weighing.add(Way::Link, onto_y, onto_y / y.pdf, inner);
+        let others = met + self.weighing.times(begin / own, merged);
+        let cos = y.hit.n().dot(sample.wi).abs();
+        visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
+    }
+
+    fn emitted(&self, path: &[Vertex], v: &Vertex, depth: u32, behind: f32) -> Rgb {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
         let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
-        v.throughput * radiance * weight(self.weighing.times(begin / v.pdf, inner))
+        let direct = match parent.delta {
+            false if self.weighing.emitters => {
+                let n = self.world.receiving_normal(&parent.hit, &self.world.shading(&parent.hit));
+                let samples = emitter_samples(depth - 1) as f32;
+                samples * self.world.lights().pdf_direct(parent.hit.point.p, n, &point, -v.hit.wo) / v.pdf
+            }
+            _ => 0.0,
+        };
+        v.throughput * radiance * weight(self.weighing.times(begin / v.pdf, inner) + self.weighing.direct(direct))
     }
 
-    fn escaped(&self, path: &[Vertex], escape: &Escape, behind: f32) -> Rgb {
+    fn escaped(&self, path: &[Vertex], escape: &Escape, depth: u32, behind: f32) -> Rgb {
         if escape.segments == 1 && self.hide_lights {
             return Rgb::ZERO;
         }
@@ -121,10 +169,17 @@ impl<'a> Eye<'a> {
             let (begin, next) = lights.pdf_start(self.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
             let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
-            far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner))
+            let direct = if parent.delta { 0.0 } else { emitter_samples(depth) as f32 * far.pdf_w / escape.pdf_w };
+            far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner) + self.weighing.direct(direct))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }
+}
+
+/// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct light on the first
+/// one is most of the noise that is left.
+pub(super) fn emitter_samples(depth: u32) -> u32 {
+    if depth == 0 { 4 } else { 1 }
 }
 
 /// 1/(1 + A); where nothing competes A may be 0 · ∞.

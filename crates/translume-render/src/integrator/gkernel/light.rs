@@ -81,6 +81,8 @@ pub(crate) struct LightVertex {
     pub(crate) survival: f32,
     /// Weights of merging farther up the path, see [`Weighing`].
     pub(crate) behind: f32,
+    /// Of emitter sampling here, where the parent is a light.
+    pub(crate) direct: f32,
     /// Density of the parent by a walk from here over that of the light's walk, per density of the direction.
     pub(crate) back: f32,
     pub(crate) segments: u16,
@@ -138,6 +140,7 @@ pub(crate) struct Brief {
     pub(crate) pdf: f32,
     pub(crate) back: f32,
     pub(crate) behind: f32,
+    pub(crate) direct: f32,
     pub(crate) way: Way,
 }
 
@@ -146,7 +149,8 @@ impl Brief {
         let (way, area) = (v.way(), v.radius * v.radius);
         let cos = if way == Way::Merge { 1.0 } else { v.cos() };
         let gain = luminance(v.throughput) / (area * cos);
-        Self { wo: v.hit.wo, gain, printed: 1.0 / (area * v.cos()), pdf: v.pdf, back: v.back, behind: v.behind, way }
+        let printed = 1.0 / (area * v.cos());
+        Self { wo: v.hit.wo, gain, printed, pdf: v.pdf, back: v.back, behind: v.behind, direct: v.direct, way }
     }
 }
 
@@ -252,9 +256,17 @@ impl LightPaths {
                     None => light.pdf_back / light.start.pdf_begin(),
                 };
                 let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
-                let inner = self.vertices[base + v.parent as usize].behind;
-                request.weighing.add(way, parent.pdf, ratio, inner)
+                let before = &self.vertices[base + v.parent as usize];
+                request.weighing.add(way, parent.pdf, ratio, before.behind) + before.direct
             }
+        };
+        let direct = match parent {
+            None if request.weighing.emitters && !v.delta => {
+                let n = request.world.receiving_normal(&v.hit, &request.world.shading(&v.hit));
+                let pdf = request.world.lights().pdf_direct(p, n, &point, wo);
+                request.weighing.direct(pdf / light.start.pdf_begin())
+            }
+            _ => 0.0,
         };
         let delta = parent.is_some_and(|p| p.delta);
         let usable = v.pdf > 0.0 && v.survival > 0.0;
@@ -273,6 +285,7 @@ impl LightPaths {
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
             behind,
+            direct,
             back,
             segments: v.segments.min(u16::MAX.into()) as u16,
             flags: [(v.parent == NONE, FIRST), (linked, LINKED), (merged, MERGED)]

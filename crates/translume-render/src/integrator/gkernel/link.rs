@@ -10,7 +10,7 @@
 //! [`Linker::share`].
 
 use super::super::direct::MOST_CROSSINGS;
-use super::eye::EyeVertex;
+use super::eye::{EyeVertex, emitter_samples};
 use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
 use super::points::Points;
@@ -151,6 +151,8 @@ pub(crate) struct Linker<'a> {
     pub(crate) bandwidth: Bandwidth,
     pub(crate) weighing: Weighing,
     pub(crate) normalise: Normalise,
+    /// The kernel falls to the footprint's rim.
+    pub(crate) smooth: bool,
     /// Where the light paths begin.
     pub(crate) starts: &'a Starts,
     /// Longest path in segments.
@@ -238,8 +240,9 @@ impl<'a> Linker<'a> {
         let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
         let light = self.weighing.times(here.pdf_to_light * v.back, v.behind);
         let weight = own / (own + camera + light);
-        let area = PI * v.radius * v.radius * self.lights.count as f32;
-        let value = v.throughput * here.f * y.throughput * (weight * link.weight / area);
+        let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
+        let area = PI * v.radius * v.radius * self.lights.count as f32 * self.kernel_mean();
+        let value = v.throughput * here.f * y.throughput * (weight * kernel * link.weight / area);
         Score { value, visible: true, rays: 0 }
     }
 
@@ -253,6 +256,21 @@ impl<'a> Linker<'a> {
             }
         }
         Reach::Distance(t)
+    }
+
+    /// The kernel at this squared distance from a footprint's middle: 1, or Epanechnikov's.
+    #[inline]
+    pub(super) fn kernel(&self, distance_squared: f32, radius: f32) -> f32 {
+        match (distance_squared / (radius * radius), self.smooth) {
+            (t, _) if t > 1.0 => 0.0,
+            (t, true) => 1.0 - t,
+            (_, false) => 1.0,
+        }
+    }
+
+    /// Its mean over a disc.
+    fn kernel_mean(&self) -> f32 {
+        if self.smooth { 0.5 } else { 1.0 }
     }
 
     fn parent(&self, v: &LightVertex) -> Parent<'a> {
@@ -298,8 +316,9 @@ impl<'a> Linker<'a> {
             {
                 self.share(link, v, &arrival, y, &mut score.rays) / (PI * v.radius * v.radius)
             }
-            _ => 1.0 / (PI * v.radius * v.radius * v.cos()),
+            _ => 1.0 / (PI * v.radius * v.radius * v.cos() * self.kernel_mean()),
         };
+        let kernel = kernel * self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let weight = self.weight(parent, &arrival, &here, y, cos_y);
         let paths = self.lights.count as f32;
         score.value = arrival.value
@@ -372,7 +391,8 @@ impl<'a> Linker<'a> {
             let Some((point, t)) = self.world.arrive(&ray) else { continue };
             let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
             let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
-            if point.p.distance_squared(center) <= radius * radius {
+            let kernel = self.kernel(point.p.distance_squared(center), radius);
+            if kernel > 0.0 && (!self.smooth || sampler.next_1d() < kernel) {
                 return tried as f32 / (MARGIN * MARGIN);
             }
         }
@@ -385,8 +405,18 @@ impl<'a> Linker<'a> {
         let own = self.weighing.own(v.way, v.pdf);
         let back = y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI * y.back;
         let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
-        let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind);
+        let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
         own / (own + camera + light)
+    }
+
+    /// Density with which emitter sampling at `y` finds the light's point.
+    fn pdf_direct(&self, start: &LightStart, arrival: &Arrival, y: &EyeVertex) -> f32 {
+        if !self.weighing.emitters {
+            return 0.0;
+        }
+        let n = self.world.receiving_normal(&y.hit, &y.shading);
+        let samples = emitter_samples(y.depth) as f32;
+        samples * self.world.lights().pdf_direct(y.hit.point.p, n, &start.point(), arrival.wi)
     }
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
@@ -397,11 +427,14 @@ impl<'a> Linker<'a> {
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {
             Parent::Start(start) => {
-                self.weighing.times(parent_pdf / start.pdf_begin(), self.weighing.of_light(start.delta))
+                let (w, begin) = (&self.weighing, start.pdf_begin());
+                w.times(parent_pdf / begin, w.of_light(start.delta))
+                    + w.direct(self.pdf_direct(start, arrival, y) / begin)
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                self.weighing.times(parent_pdf / p.pdf, self.weighing.add(p.way(), p.pdf, there * p.back, p.behind))
+                let inner = self.weighing.add(p.way(), p.pdf, there * p.back, p.behind) + p.direct;
+                self.weighing.times(parent_pdf / p.pdf, inner)
             }
         };
         own / (own + camera + light)

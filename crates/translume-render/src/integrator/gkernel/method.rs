@@ -26,6 +26,12 @@ pub(crate) struct Method {
     pub(crate) target: bool,
     /// Light paths begin at lights in proportion to what a pilot saw of them.
     pub(crate) importance: bool,
+    /// What a link counts falls towards its footprint's rim (Epanechnikov's kernel).
+    pub(crate) smooth: bool,
+    /// Links are weighed by the number that is made, not by that of the candidates.
+    pub(crate) acceptance: bool,
+    /// Lights are sampled at camera vertices as well.
+    pub(crate) emitters: bool,
     /// Light paths of a step are points of a low-discrepancy sequence.
     pub(crate) sobol: bool,
     /// Merges are weighed as connections made many times, not by eq. 9.
@@ -33,7 +39,7 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 12] = [
+pub(crate) const OPTIONS: [Choice; 15] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: a quarter as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
@@ -52,7 +58,18 @@ pub(crate) const OPTIONS: [Choice; 12] = [
     Choice { name: "caustics", default: "auto", about: "merge photons behind mirrors and glass" },
     Choice { name: "target", default: "auto", about: "choose links by what they would bring" },
     Choice { name: "importance", default: "auto", about: "begin light paths where a pilot saw light come from" },
+    Choice {
+        name: "kernel",
+        default: "auto",
+        about: "weight in a footprint: `even`, or falling `smooth`ly to its rim",
+    },
+    Choice { name: "emitters", default: "auto", about: "sample lights at camera vertices as well, as path does" },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
+    Choice {
+        name: "acceptance",
+        default: "auto",
+        about: "weights count the links that are made, not all that could be",
+    },
     Choice { name: "weights", default: "auto", about: "bidirectional weights by the number of links, not by eq. 9" },
 ];
 
@@ -86,6 +103,9 @@ impl Method {
             caustics: !unbiased && auto("caustics")?,
             target: auto("target")?,
             importance: auto("importance")?,
+            smooth: options.choice("kernel", ["auto", "even", "smooth"])? == 2,
+            acceptance: auto("acceptance")?,
+            emitters: auto("emitters")?,
             sobol: auto("sobol")?,
             weights: auto("weights")?,
         })

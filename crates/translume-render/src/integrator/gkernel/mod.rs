@@ -168,7 +168,8 @@ impl GKernel {
 
     fn weighing(&self, scale: f32, bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
-        Weighing { scale, printed: !self.method.weights, photons: if self.method.caustics { photons } else { 0.0 } }
+        let photons = if self.method.caustics { photons } else { 0.0 };
+        Weighing { scale, printed: !self.method.weights, emitters: self.method.emitters, photons }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {
@@ -229,6 +230,7 @@ impl GKernel {
             bandwidth: request.bandwidth,
             weighing: request.weighing,
             normalise: self.method.normalise,
+            smooth: self.method.smooth,
             starts: request.starts,
             max: self.settings.most_segments(),
             seed: (request.seed, sample),

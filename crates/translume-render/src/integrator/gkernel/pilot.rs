@@ -118,7 +118,11 @@ impl GKernel {
             lights.refit(&bandwidth(h));
         }
         // Light vertices per path that see a point.
-        let scale = PI * h[0].powi(2) * lights.count as f32;
+        let mut scale = PI * h[0].powi(2) * lights.count as f32;
+        if self.method.acceptance {
+            let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1);
+            scale *= (self.links * self.groups(&flock.eyes).len() as f32 / candidates as f32).min(1.0);
+        }
         (h, if self.method.weights { scale } else { scale * lights.typical_area() })
     }
 

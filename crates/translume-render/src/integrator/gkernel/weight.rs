@@ -1,4 +1,5 @@
-//! Weights of the ways to make a path: merging at any of its vertices, or the camera's path meeting the light.
+//! Weights of the ways to make a path: merging at any of its vertices, the camera's path meeting the light, or emitter sampling
+//! at the camera's last vertex.
 //!
 //! Source: Bekaert et al. 2003, §4.1. For the path z₀ … z_k let p_j be the density of merging at z_j: the light's walk made
 //! z₀ … z_{j−1}, the camera's z_j … z_k. Two rules:
@@ -8,7 +9,7 @@
 //!   z_{j−1} to z_j that is made c = N π h² times.
 //!
 //! Either way p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i), with g_j = c or κ p^L(z_j), and g = 1 for the camera's path that
-//! meets the light. Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
+//! meets the light; emitter sampling has the density p^D(z₀) in the place of p^E(z₀). Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
 //! camera's side A = r_t (g_{t−1} + r_{t−1} (g_{t−2} + …)), with q_i = p^E(z_i)/p^L(z_i) on the light's B = q_m (g_m + q_{m−1} (…)),
 //! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the vertex (`behind`).
 
@@ -19,6 +20,8 @@ pub(crate) struct Weighing {
     pub(crate) scale: f32,
     /// Eq. 9.
     pub(crate) printed: bool,
+    /// Lights are sampled at camera vertices as well.
+    pub(crate) emitters: bool,
     /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
     pub(crate) photons: f32,
 }
@@ -74,6 +77,12 @@ impl Weighing {
     #[inline]
     pub(crate) fn of_light(&self, delta: bool) -> f32 {
         if delta { 0.0 } else { 1.0 }
+    }
+
+    /// Emitter sampling beside what else may happen; `ratio` is its density of the light's point over the other's.
+    #[inline]
+    pub(crate) fn direct(&self, ratio: f32) -> f32 {
+        if self.emitters { self.times(ratio, 1.0) } else { 0.0 }
     }
 
     /// A bracket around `inner`: what may happen at a vertex of density `pdf` by the light's walk, and what lies behind.
