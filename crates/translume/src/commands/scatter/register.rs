@@ -52,7 +52,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let bar = ctx.progress(capture.rig.laser.hits_mm.len() as u64, "looking");
     let told =
         register(&mut capture, &RegisterParams { seen_hits: args.seen_hits, ..RegisterParams::default() }, || {
-            bar.inc(1)
+            bar.inc(1);
         })?;
     if !light.is_empty() {
         white_balance(&mut capture.rig, &light)?;
