@@ -80,7 +80,7 @@ fn within(surface: &Surface, camera: &Camera, lit: &Lit, hits: Option<&[[f64; 3]
 }
 
 /// Whether the camera sees a hit, not at a grazing angle.
-fn visible(surface: &Surface, camera: &Camera, px: [f64; 2], hit: [f64; 3]) -> bool {
+pub(super) fn visible(surface: &Surface, camera: &Camera, px: [f64; 2], hit: [f64; 3]) -> bool {
     let far = (DVec3::from_array(camera.eye()) - DVec3::from_array(hit)).length();
     let near = 2.0 * far / camera.focal_px; // two pixels
     surface.seen(camera, px).is_some_and(|(place, cos)| {

@@ -4,6 +4,7 @@
 //! that the sum of squares of their distances from the lit places is least. What the deflection of the mirrors was is in the rig: the
 //! angles between the beams stay.
 
+use super::cameras::visible;
 use super::pictures::Pictures;
 use super::pose::{Motion, MotionFit, Row, median, robust, solve};
 use crate::capture::{Rig, Surface};
@@ -140,16 +141,21 @@ fn rows(
     }
 }
 
-/// Where on the mesh each laser position's spot was seen: the mean over the views in which it is on a side that the laser lights. With
-/// `only`, of these views.
+/// Where on the mesh each laser position's spot was seen: the mean over the views that see its hit, where the spot is on a side
+/// that the laser lights. With `only`, of these views.
 fn lit_places(surface: &Surface, rig: &Rig, pictures: &Pictures, only: Option<&[bool]>) -> Vec<Option<DVec3>> {
     let mut sums = vec![(DVec3::ZERO, 0.0); rig.laser.hits_mm.len()];
     for (view, lit) in pictures.views.iter().enumerate().filter(|(v, _)| only.is_none_or(|o| o[*v])) {
+        let camera = &rig.views[view].camera;
         for spot in &lit.spots {
-            let Some((place, cos)) = surface.seen(&rig.views[view].camera, spot.px) else { continue };
+            // Where the beam is hidden from the camera, what is brightest is the glow at a rim or on top.
+            let hit = rig.laser.hits_mm[spot.position];
+            if !camera.project(hit).is_some_and(|px| visible(surface, camera, px, hit)) {
+                continue;
+            }
+            let Some((place, cos)) = surface.seen(camera, spot.px) else { continue };
             let at = DVec3::from_array(place.at);
             let towards = (DVec3::from_array(rig.laser.origin(spot.position)) - at).normalize();
-            // Where the beam is hidden from the camera, what is brightest is the glow at a rim.
             if cos > LEAST_COS && towards.dot(place.normal.as_dvec3()) > LEAST_COS {
                 sums[spot.position].0 += cos * at;
                 sums[spot.position].1 += cos;

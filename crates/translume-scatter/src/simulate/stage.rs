@@ -208,8 +208,9 @@ fn wanted(profile: &[[f64; 2]], reach: f64) -> Vec<f64> {
         let at = (r - 0.5).clamp(0.0, (ln.len() - 2) as f64);
         let (k, t) = (at as usize, at.fract());
         let value = (ln[k] * (1.0 - t) + ln[k + 1] * t).exp().clamp(1e-9, 1.0);
-        // Farther out the less: through an almost empty slab light runs for ever.
-        if r > reach { (30.0 * value * (r / reach).powi(4)).min(1.0) } else { value }
+        // Outside of all frames the less: through an almost empty slab light runs for ever.
+        let outside = (r / (1.5 * reach)).max(1.0).powi(4);
+        if r > reach { (30.0 * value * outside).min(1.0) } else { value }
     };
     (0..profile.len() * 4).map(table).collect()
 }

@@ -111,7 +111,7 @@ impl Importance {
     /// Most copies that one collision makes.
     const SPLIT: f64 = 12.0;
     /// Most photons that wait; with more of them none is split. In a thin medium light goes far, and each copy would have copies.
-    const WAITING: usize = 200;
+    const WAITING: usize = 1000;
 
     /// The same everywhere: only roulette.
     pub fn flat() -> Self {

@@ -20,6 +20,9 @@ Examples:
   White balance too, from a picture of a white target under each laser:
     translume scatter register capture/ --white red.exr green.exr blue.exr -o registered/";
 
+/// A rig that is off by more is not expected.
+const FAR_DEG: f64 = 10.0;
+
 /// Find where the cameras and the laser of a capture really were, and its white balance
 ///
 /// The poses in rig.json must be roughly right. Each camera is moved until the outline of the mesh is that of the object in its
@@ -136,6 +139,9 @@ fn tell(args: &Args, capture: &Capture, told: &RegisterReport, ctx: &Context) ->
             v.turned_deg,
             v.moved_mm
         ))?;
+    }
+    if let Some(most) = told.views.iter().map(|v| v.turned_deg).max_by(f64::total_cmp).filter(|t| *t > FAR_DEG) {
+        ctx.warn(format!("a camera was turned by {most:.0}°; where rig.json is better than that, the result is wrong"));
     }
     for (i, b) in told.beams.iter().enumerate() {
         ctx.text(format!("beams of stop {i}: {} from {} lit points", pair(b.off_mm, "mm"), b.seen))?;

@@ -310,10 +310,8 @@ fn grid(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Contex
         return Err(Usage("--base lies in 0 to 1000".into()).into());
     }
     let (grid, _) = translume_scene::read_grid(file)?;
-    // Resampled grids overshoot a little below 0; more is no density.
-    let most = grid.values.iter().copied().fold(0.0, f32::max);
-    if most <= 0.0 || grid.values.iter().any(|v| *v < -0.05 * most) {
-        return Err(anyhow!("{}: no density: its values must not be negative, and not all 0", file.display()));
+    if grid.values.iter().all(|v| *v <= 0.0) {
+        return Err(anyhow!("{}: no density: all its values are 0", file.display()));
     }
     if grid.channels > 1 {
         ctx.warn(format!("{}: of its {} channels the first is the density", file.display(), grid.channels));
@@ -331,7 +329,7 @@ fn grid(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Contex
         let at = |i: usize| (((p[i] - low[i]) / extent[i] * grid.size[i] as f64) as usize).min(grid.size[i] - 1);
         let index = (at(2) * grid.size[1] + at(1)) * grid.size[0] + at(0);
         // Scattering is grey here: each channel keeps its albedo by its absorption. Values above 1 may take base below 0.
-        let density = f64::from(grid.values[index * grid.channels]).max(0.0);
+        let density = f64::from(grid.values[index * grid.channels]);
         let sigma_s = scattering * (args.base + (args.extinction - args.base) * density).max(0.0);
         Local { sigma_s: sigma_s as f32, sigma_a: albedo.map(|a| (sigma_s * (1.0 / a - 1.0)) as f32), g: 0.0 }
     }))
