@@ -19,7 +19,8 @@ METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "
            "gkernel": ["--integrator", "gkernel"], "gkernel, printed": ["--integrator", "gkernel", "-O", "printed=true"]}
 UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
 PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
-         "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false")}
+         "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false"), "emitters": ("true", "false"),
+         "acceptance": ("true", "false"), "kernel": ("smooth", "smooth")}  # the default's kernel is even: both columns are with it
 
 
 def read(path):
@@ -96,14 +97,17 @@ def equal_time(a):
             print(f"{title}: {facts}", flush=True)
             reference, noise = two_halves(scene, a)
             print(f"  reference: relMSE {rel_mse(reference, reference, -noise):.3g}", flush=True)
-            for seconds in a.seconds:
+            for seconds in a.seconds + [a.long] * (a.long > 0):
+                few = seconds == a.long
                 for method, options in METHODS.items():
+                    if few and method not in ("path", "gkernel"):
+                        continue
                     picture, told = render(scene, [*options, "--time", f"{seconds}s"], a.size, a.seed)
                     if method == "gkernel":
                         counts[title] = told["counts"]
                     rows.append((title, method, seconds, rel_mse(picture, reference, noise)))
                     print("  %s, %s, %g s: %.4g" % rows[-1], flush=True)
-                picture = mitsuba_picture(scene, a.size, seconds, a.seed)
+                picture = None if few else mitsuba_picture(scene, a.size, seconds, a.seed)
                 if picture is not None:
                     rows.append((title, "Mitsuba path", seconds, rel_mse(picture, reference, noise)))
                     print("  %s, %s, %g s: %.4g" % rows[-1], flush=True)
@@ -181,6 +185,7 @@ def main():
     p.add_argument("--settings", default="shut,half,open", help="doors")
     p.add_argument("--glossy", action="store_true", help="also the floor of rough metal, doors shut")
     p.add_argument("--seconds", type=lambda t: [float(v) for v in t.split(",")], default=[10.0, 30.0, 100.0])
+    p.add_argument("--long", type=float, default=0, metavar="SECONDS", help="one more time, of path and gkernel alone")
     p.add_argument("--reference", type=float, default=600, help="seconds of each half")
     p.add_argument("--size", type=size, default=(512, 384))
     p.add_argument("--seed", type=int, default=1, help="of the floor and of the methods")

@@ -11,9 +11,10 @@
 //! A lamp is a disc on the sky of constant radiance. The camera does not see lamps, mirrors and glass do. Media are ignored, as
 //! by `path`.
 
-use crate::integrator::{MOST_CROSSINGS, Settings, power_heuristic};
+use crate::integrator::{Settings, power_heuristic};
 use crate::render::Shot;
 use crate::subpath::MOST_SEGMENTS;
+use crate::world::MOST_CROSSINGS;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use glam::{DMat3, Vec3};
 use rayon::prelude::*;

@@ -4,13 +4,14 @@
 mod common;
 
 use common::*;
-use glam::{DVec3, Vec3};
+use glam::{DAffine2, DVec2, DVec3, Vec3};
 use translume_bxdf::Distribution;
 use translume_render::film::Film;
 use translume_render::integrator;
-use translume_scene::Scene;
 use translume_scene::emitter::Emitter;
 use translume_scene::material::{Conductor, Model, Roughness};
+use translume_scene::texture::{Checkerboard, Texture};
+use translume_scene::{Scene, TextureId};
 
 fn kernel(scene: &Scene, options: &[(&str, &str)], steps: u64) -> Film {
     let options: Vec<(String, String)> = options.iter().map(|o| (o.0.to_owned(), o.1.to_owned())).collect();
@@ -139,16 +140,44 @@ fn glossy() -> Scene {
     m.0
 }
 
+/// A floor, and over it a sheet with holes, under a lamp.
+fn sheet() -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow) = (m.diffuse(0.5), m.diffuse(0.0), m.gray(5.0));
+    let (hole, whole) = (m.gray(0.0), m.gray(1.0));
+    let board_from_uv = DAffine2::from_scale(DVec2::splat(8.0));
+    m.0.textures.push(Texture::Checkerboard(Checkerboard { color0: hole, color1: whole, board_from_uv }));
+    let opacity = TextureId(m.0.textures.len() - 1);
+    let holes = m.material(Model::Mask { opacity, nested: gray });
+    let holes = m.material(Model::TwoSided { front: holes, back: holes });
+    m.square(1.0, 0.0, gray);
+    m.square(0.7, 0.15, holes);
+    let light = m.square(0.1, 1.0, black);
+    (light.radiance, light.flip_normals) = (Some(glow), true);
+    m.camera(DVec3::new(2.5, 0.0, 2.0), DVec3::ZERO, 25.0);
+    m.0
+}
+
 /// Each z is beyond 4 in one of 16,000 runs.
 #[test]
 fn the_unbiased_method_agrees_with_path() {
     let few = [("unbiased", "true"), ("light-paths", "3000")];
-    for (name, scene) in [("edge", edge()), ("grazing", grazing()), ("glossy", glossy()), ("caustic", glass_ball(1.5))]
-    {
-        let z = deviation(&scene, &few, 24);
-        assert!(z.abs() < 4.0, "{name}: {z}");
+    // Without emitter sampling the links carry everything.
+    let [alone, smooth] = [("emitters", "false"), ("kernel", "smooth")];
+    let ways = [few.to_vec(), [&few[..], &[alone]].concat(), [&few[..], &[alone, smooth]].concat()];
+    for (name, scene) in [
+        ("edge", edge()),
+        ("grazing", grazing()),
+        ("glossy", glossy()),
+        ("caustic", glass_ball(1.5)),
+        ("sheet", sheet()),
+    ] {
+        for way in &ways {
+            let z = deviation(&scene, way, 24);
+            assert!(z.abs() < 4.0, "{name}, {way:?}: {z}");
+        }
     }
-    let z = deviation(&edge(), &[("normalise", "disc"), ("light-paths", "3000")], 24);
+    let z = deviation(&edge(), &[("normalise", "disc"), ("light-paths", "3000"), alone], 24);
     assert!(z < -4.0, "discs should lose light at the edge: {z}");
 }
 

@@ -17,11 +17,11 @@
 //!
 //! Depth, roulette and `hide_emitters` are those of `path`. Limit: no participating media.
 
-use super::direct::MOST_CROSSINGS;
 use super::{Integrator, Settings, Work};
 use crate::light::{LightPoint, LightSample};
 use crate::splat::Splat;
 use crate::subpath::{self, Density, Escape, LightPath, Limits, Vertex, Walk, scattering};
+use crate::world::MOST_CROSSINGS;
 use crate::world::{Shading, World};
 use crate::{Result, Rgb};
 use glam::Vec3;

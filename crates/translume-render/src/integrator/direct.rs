@@ -6,13 +6,10 @@
 use super::{Work, power_heuristic};
 use crate::Rgb;
 use crate::light::FarLight;
-use crate::world::{Shading, SurfaceHit, World};
+use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
 use glam::Vec3;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
-
-/// Surfaces that a connection may pass straight before it counts as blocked.
-pub(crate) const MOST_CROSSINGS: u32 = 256;
 
 /// The vertex that a direction was drawn at, for weighing what it hits: emitter sampling there, and the density of the
 /// direction (infinite: nothing but this direction could be).

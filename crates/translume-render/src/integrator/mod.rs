@@ -21,7 +21,6 @@ use translume_scene::{MediumId, Scene};
 use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
-pub(crate) use direct::MOST_CROSSINGS;
 pub use gkernel::GKernel;
 pub use path::Path;
 pub use photonmap::PhotonMapping;

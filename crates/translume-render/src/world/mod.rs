@@ -21,6 +21,9 @@ use translume_mesh::TriMesh;
 use translume_scene::{MaterialId, MediumId, Scene, TextureId};
 use translume_trace::{Ray, SurfacePoint};
 
+/// Surfaces that a connection may pass straight before it counts as blocked.
+pub(crate) const MOST_CROSSINGS: u32 = 256;
+
 /// A compiled scene.
 pub struct World {
     scene: Arc<Scene>,
@@ -105,11 +108,28 @@ impl World {
         Some(self.surface_hit(ray, &hit))
     }
 
-    /// Where the ray arrives, without what shading wants, and its parameter there.
+    /// Whether `there` is true of a place, and its parameter, where a walk along the ray may arrive: it goes on behind what lets
+    /// something pass straight, and what does nothing else is no place.
     #[inline]
-    pub(crate) fn arrive(&self, ray: &Ray) -> Option<(SurfacePoint, f32)> {
-        let hit = self.tracer.intersect(ray)?;
-        Some((self.tracer.surface(ray, &hit), hit.t))
+    pub(crate) fn arrives(&self, ray: &Ray, mut there: impl FnMut(&SurfacePoint, f32) -> bool) -> bool {
+        let (mut ray, mut before) = (*ray, 0.0);
+        for _ in 0..MOST_CROSSINGS {
+            let Some(hit) = self.tracer.intersect(&ray) else { return false };
+            if !self.has_null || !self.surfaces[self.surface_index(&hit)].passes.0 {
+                return there(&self.tracer.surface(&ray, &hit), before + hit.t);
+            }
+            let hit = self.surface_hit(&ray, &hit);
+            let shading = self.shading(&hit);
+            if shading.flags().has_smooth() && there(&hit.point, before + hit.t) {
+                return true;
+            }
+            if shading.bsdf.null_transmittance(shading.to_local(hit.wo)) == Rgb::ZERO {
+                return false;
+            }
+            before += hit.t;
+            ray = hit.go_on(&ray);
+        }
+        false
     }
 
     /// What the ray meets first when shapes that shine are not there.

@@ -10,8 +10,8 @@
 //! - other surfaces: the walk's own directions, most of which miss the cone and cost no ray; n trials estimate n;
 //! - parallel light: places in the disc that bounds all footprints, p is constant.
 //!
-//! Roulette is not part of it: a link divides by the chance that its own light path had. Limit: surfaces that let light
-//! straight through (masks) count as if they stopped it.
+//! Roulette is not part of it, and neither is what passes surfaces straight (masks): a link divides by the chance that its own light
+//! path had, and a trial passes wherever something does.
 
 use super::light::LEAST_COS;
 use super::link::{Arrival, Link, Linker, Parent};
@@ -50,11 +50,12 @@ impl Linker<'_> {
         let mut hits = |target: Vec3, pdf: f32, u: f32| {
             *rays += 1;
             let ray = self.lights.ray_beside(self.world, v, target);
-            let Some((point, t)) = self.world.arrive(&ray) else { return false };
-            let reach = self.reach(v, t);
-            let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
-            let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
-            u < self.kernel(point.p.distance_squared(center), radius)
+            self.world.arrives(&ray, |point, t| {
+                let reach = self.reach(v, t);
+                let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
+                let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
+                u < self.kernel(point.p.distance_squared(center), radius)
+            })
         };
         if let Parent::Start(start) = parent
             && matches!(start.origin, End::Far)

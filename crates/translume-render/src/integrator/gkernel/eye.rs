@@ -2,10 +2,10 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
-use super::super::direct::MOST_CROSSINGS;
 use super::weight::{Way, Weighing};
 use crate::light::{LightPoint, Starts};
 use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
+use crate::world::MOST_CROSSINGS;
 use crate::world::{Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
@@ -88,7 +88,7 @@ impl<'a> Eye<'a> {
                 behind: behind[i],
             };
             if self.weighing.emitters && v.segments < self.limits.segments {
-                let samples = emitter_samples(y.depth);
+                let samples = emitter_samples(self.world, y.depth);
                 (0..samples).for_each(|_| radiance += self.lit(&y, samples as f32, &mut emitters, rays));
             }
             out.push(y);
@@ -149,7 +149,7 @@ impl<'a> Eye<'a> {
         let direct = match parent.delta {
             false if self.weighing.emitters => {
                 let n = self.world.receiving_normal(&parent.hit, &self.world.shading(&parent.hit));
-                let samples = emitter_samples(depth - 1) as f32;
+                let samples = emitter_samples(self.world, depth - 1) as f32;
                 samples * self.world.lights().pdf_direct(parent.hit.point.p, n, &point, -v.hit.wo) / v.pdf
             }
             _ => 0.0,
@@ -169,17 +169,18 @@ impl<'a> Eye<'a> {
             let (begin, next) = lights.pdf_start(self.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
             let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
-            let direct = if parent.delta { 0.0 } else { emitter_samples(depth) as f32 * far.pdf_w / escape.pdf_w };
+            let direct =
+                if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w / escape.pdf_w };
             far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner) + self.weighing.direct(direct))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }
 }
 
-/// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct light on the first
-/// one is most of the noise that is left.
-pub(super) fn emitter_samples(depth: u32) -> u32 {
-    if depth == 0 { 4 } else { 1 }
+/// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct light of many lamps
+/// on the first one is most of the noise that is left.
+pub(super) fn emitter_samples(world: &World, depth: u32) -> u32 {
+    if depth == 0 { (world.lights().len() as u32).clamp(1, 4) } else { 1 }
 }
 
 /// 1/(1 + A); where nothing competes A may be 0 · ∞.

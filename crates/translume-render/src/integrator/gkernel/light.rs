@@ -318,9 +318,10 @@ impl LightPaths {
             let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
             let ray = self.ray_beside(world, v, v.hit.point.p + away);
             *rays += 1;
-            let Some((point, _)) = world.arrive(&ray) else { return false };
-            let off = point.p - v.hit.point.p;
-            off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
+            world.arrives(&ray, |point, _| {
+                let off = point.p - v.hit.point.p;
+                off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
+            })
         })
     }
 

@@ -9,7 +9,6 @@
 //! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
 //! [`Linker::share`].
 
-use super::super::direct::MOST_CROSSINGS;
 use super::eye::{EyeVertex, emitter_samples};
 use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
@@ -17,6 +16,7 @@ use super::points::Points;
 use super::weight::{Way, Weighing};
 use crate::light::{End, LightStart, Starts};
 use crate::subpath::{Scattering, scattering};
+use crate::world::MOST_CROSSINGS;
 use crate::world::{Shading, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
@@ -196,11 +196,14 @@ pub(super) struct Arrival {
     at_parent: Option<Scattering>,
 }
 
-/// Most rays that [`Linker::share`] takes.
-const TRIALS: u32 = 64;
+/// Largest answer of [`Linker::share`]: beyond, little light is lost and much noise spared.
+const MOST_SHARE: f32 = 16.0;
 
 /// Largest footprint over that of the vertex at hand, for [`Linker::share`].
 const MARGIN: f32 = 1.3;
+
+/// Largest factor on it where y is met at a flatter angle.
+const WIDEST: f32 = 4.0;
 
 impl<'a> Linker<'a> {
     /// Scores of `links`, in their order.
@@ -376,27 +379,33 @@ impl<'a> Linker<'a> {
 
     /// π R² p over N: how much larger than the disc the part of a ball around y is, as the parent sees it, in which a light
     /// path's hit would have y in its footprint. Rays are sent into the ball until one succeeds; their number is one over
-    /// the chance in the mean (Booth 2007). Footprints beside may be larger than this one, up to [`MARGIN`].
+    /// the chance in the mean (Booth 2007). Footprints beside may be larger than this one: by [`MARGIN`], and where the surface at y is met at
+    /// a flatter angle, as among leaves, by as much as those there are.
     fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex, rays: &mut u64) -> f32 {
         let key = u64::from(link.light) << 32 | u64::from(link.eye);
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x7368_6172, key, self.seed.1);
         let frame = Frame::from_normal(arrival.wi);
         let center = y.hit.point.p;
         let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
-        for tried in 1..=TRIALS {
+        let cos_y = y.hit.n().dot(arrival.wi).abs();
+        let margin = MARGIN * (v.cos() / cos_y).sqrt().clamp(1.0, WIDEST);
+        let trials = (MOST_SHARE * margin * margin) as u32;
+        for tried in 1..=trials {
             let u = sampler.next_2d();
-            let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (MARGIN * v.radius)).extend(0.0));
+            let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (margin * v.radius)).extend(0.0));
             let ray = self.lights.ray_beside(self.world, v, center + beside);
             *rays += 1;
-            let Some((point, t)) = self.world.arrive(&ray) else { continue };
-            let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
-            let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
-            let kernel = self.kernel(point.p.distance_squared(center), radius);
-            if kernel > 0.0 && (!self.smooth || sampler.next_1d() < kernel) {
-                return tried as f32 / (MARGIN * MARGIN);
+            let u = if self.smooth { sampler.next_1d() } else { 0.0 };
+            let found = self.world.arrives(&ray, |point, t| {
+                let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
+                let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
+                u < self.kernel(point.p.distance_squared(center), radius)
+            });
+            if found {
+                return tried as f32 / (margin * margin);
             }
         }
-        TRIALS as f32 / (MARGIN * MARGIN)
+        MOST_SHARE
     }
 
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
@@ -415,7 +424,7 @@ impl<'a> Linker<'a> {
             return 0.0;
         }
         let n = self.world.receiving_normal(&y.hit, &y.shading);
-        let samples = emitter_samples(y.depth) as f32;
+        let samples = emitter_samples(self.world, y.depth) as f32;
         samples * self.world.lights().pdf_direct(y.hit.point.p, n, &start.point(), arrival.wi)
     }
 

@@ -14,8 +14,8 @@
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
 //! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; merges are weighed by their number (see `weight`).
 //!
-//! Limits: merging only where the parent scatters in more than single directions, so light that mirrors and glass focus is
-//! found by camera paths that meet the light, as in `path`; no participating media.
+//! Limits: light that mirrors and glass focus is found by merging photons, not by connecting light paths to the camera; no
+//! participating media.
 
 mod chance;
 mod eye;
@@ -79,8 +79,10 @@ const MOST_TRIALS: f32 = 8.0;
 const FEWEST_PATHS: u32 = 5_000;
 const MOST_PATHS: u32 = 1_000_000;
 
-/// Radius of photons that are merged, over the scene's.
+/// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it is larger, so
+/// that a place gets as many photons. Like pixels: their number is that of light paths.
 const PHOTON: f32 = 0.004;
+const PHOTON_PATHS: f32 = 150_000.0;
 
 /// See [`Bandwidth::least`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets straight.
 const LEAST: f32 = 0.25 * FRAC_1_PI;
@@ -156,10 +158,10 @@ impl GKernel {
     }
 
     /// Of a step whose h, before it shrinks, is `h`.
-    fn bandwidth(&self, world: &World, step: u64, h: [f32; 2]) -> Bandwidth {
-        let shrink = self.shrunk(step).sqrt();
+    fn bandwidth(&self, shot: &Shot, step: u64, h: [f32; 2]) -> Bandwidth {
+        let (world, shrink) = (shot.world, self.shrunk(step).sqrt());
         let (h, radius) = (h.map(|h| h * shrink), world.bounding_sphere().1);
-        let photon = PHOTON * radius * shrink;
+        let photon = PHOTON * radius * shrink * (PHOTON_PATHS / self.light_paths(shot) as f32).sqrt().min(6.0);
         match self.method.shrink {
             true => Bandwidth { h, grow: false, share: 0.35, most: 0.1 * radius, least: LEAST, photon },
             false => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY, least: 0.0, photon },
@@ -361,7 +363,7 @@ impl Integrator for GKernel {
         let outlook = self.outlook(shot, pilot);
         let first = film.samples().0;
         let step = first / self.eye_paths;
-        let bandwidth = self.bandwidth(shot.world, step, pilot.h);
+        let bandwidth = self.bandwidth(shot, step, pilot.h);
         let weighing = self.weighing(pilot.scale, &bandwidth, self.light_paths(shot));
         let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
         let (traced, mut rays) = self.traced(&request);

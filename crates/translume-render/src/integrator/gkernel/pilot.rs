@@ -5,7 +5,6 @@
 //! unoccluded links). The lights' part is not in the paper: a lamp's chance follows what it brings to the picture, mixed
 //! with its power so that none is forgotten.
 
-use super::super::direct::MOST_CROSSINGS;
 use super::eye::EyeVertex;
 use super::light::{Brief, LightPaths};
 use super::link::{self, Candidates};
@@ -14,6 +13,7 @@ use super::{Block, GKernel, MOST_TRIALS};
 use crate::film::Film;
 use crate::light::Starts;
 use crate::render::Shot;
+use crate::world::MOST_CROSSINGS;
 use crate::world::World;
 use crate::{PathSampler, luminance};
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ impl GKernel {
     }
 
     fn weighed(&self, shot: &Shot, h: [f32; 2], scale: f32) -> Weighing {
-        self.weighing(scale, &self.bandwidth(shot.world, 0, h), self.light_paths(shot))
+        self.weighing(scale, &self.bandwidth(shot, 0, h), self.light_paths(shot))
     }
 
     /// The pilot's camera paths.
@@ -105,7 +105,7 @@ impl GKernel {
     fn calibrate(&self, shot: &Shot, flock: &Flock, starts: &Starts) -> ([f32; 2], f32) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
-        let bandwidth = |h| self.bandwidth(shot.world, 0, h);
+        let bandwidth = |h| self.bandwidth(shot, 0, h);
         let request = self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, 1.0), starts));
         let mut lights = LightPaths::trace(&request);
         for _ in 0..8 {
@@ -128,7 +128,7 @@ impl GKernel {
 
     /// Finds how many links are occluded in a view.
     pub(super) fn look(&self, shot: &Shot, pilot: &Pilot) -> Outlook {
-        let bandwidth = self.bandwidth(shot.world, 0, pilot.h);
+        let bandwidth = self.bandwidth(shot, 0, pilot.h);
         // The camera's vertices with the weights that links take.
         let path = (self.weighed(shot, pilot.h, pilot.scale), &pilot.starts);
         let flock = self.flock(shot, path);
