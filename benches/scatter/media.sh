@@ -24,19 +24,17 @@ for medium in ${MEDIA:-marble apple sponge wax stone}; do
     nice "$program" scatter report "$work/$medium" "$work/$medium-model" -o "$work/$medium-report" --quiet > "$work/$medium.txt"
     tail -n +3 "$work/$medium-report/errors.csv" | sed "s/^/$medium,/" >> "$csv"
 done
-{
-    echo "# Planar models of the virtual media"
+# A table of one channel: its name and its column in the CSV.
+table() {
     echo
-    echo "Mean of ln E(x_i) in the green channel on pixels kept from all fits: 25 laser positions on slabs of 8 mm, frames of 18 mm"
-    echo "with 36 × 36 pixels, samples above four times the noise floor. Made by \`benches/scatter/media.sh\`; all channels are in"
-    echo "[scatter-media.csv](scatter-media.csv). The last columns are the error of 8 directions over the isotropic one."
+    echo "## ${1^}"
     echo
     echo "| medium | dipole | dipole, 8 directions | isotropic | 4 | 8 | isotropic, shared | 4, shared | 8, shared | 8/isotropic | shared |"
     echo "|---|---|---|---|---|---|---|---|---|---|---|"
-    sed 's/directions, shared/directions shared/; s/isotropic, shared/isotropic shared/; s/dipole, 8/dipole 8/; s/"//g' "$csv" | awk -F, '
+    sed 's/directions, shared/directions shared/; s/isotropic, shared/isotropic shared/; s/dipole, 8/dipole 8/; s/"//g' "$csv" | awk -F, -v c="$2" '
         NR == 1 { next }
         !($1 in seen) { seen[$1] = 1; order[++n] = $1 }
-        { e[$1, $2] = $4 }
+        { e[$1, $2] = $c }
         END {
             for (i = 1; i <= n; i++) {
                 m = order[i]
@@ -46,5 +44,15 @@ done
                     e[m, "8 directions"] / e[m, "isotropic"], e[m, "8 directions shared"] / e[m, "isotropic shared"]
             }
         }'
+}
+{
+    echo "# Planar models of the virtual media"
+    echo
+    echo "Mean of ln E(x_i) on pixels kept from all fits: 25 laser positions on slabs of 8 mm, frames of 18 mm with 36 × 36 pixels,"
+    echo "samples above four times the noise floor. Made by \`benches/scatter/media.sh\`, also as [scatter-media.csv](scatter-media.csv). The last"
+    echo "columns are the error of 8 directions over the isotropic one."
+    table green 4
+    table red 3
+    table blue 5
 } > "$md"
 cat "$md"

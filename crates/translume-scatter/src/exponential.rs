@@ -8,6 +8,7 @@
 use crate::curve::Exponentials;
 use crate::lanes::{self, Block, LANES};
 use crate::radial::{Datum, Family, MAX_PARAMETERS, Scratch, decay, fit};
+use std::f64::consts::TAU;
 
 /// Most terms of a sum.
 pub const MAX_TERMS: usize = MAX_PARAMETERS / 2;
@@ -26,6 +27,8 @@ const CANCELLATION: f64 = 1e-6;
 pub(crate) struct Sums {
     terms: usize,
     reach: f64,
+    /// The largest integral over a plane.
+    most: Option<f64>,
 }
 
 /// Amplitudes and decays.
@@ -36,8 +39,18 @@ pub(crate) struct PreparedSum {
 
 impl Sums {
     /// For samples up to `reach` mm.
-    pub(crate) fn new(terms: usize, reach: f64) -> Self {
-        Self { terms, reach }
+    pub(crate) fn new(terms: usize, reach: f64, most: Option<f64>) -> Self {
+        Self { terms, reach, most }
+    }
+
+    /// ∫ Σ c e^{dr} 2πr dr = Σ 2π c/d² of `n` terms, and its derivatives by c_1…c_n, δ_1…δ_n.
+    pub(crate) fn total(&self, n: usize, p: &PreparedSum) -> (f64, [f64; MAX_PARAMETERS]) {
+        let mut by = [0.0; MAX_PARAMETERS];
+        for k in 0..n {
+            by[k] = TAU / (p.d[k] * p.d[k]);
+            by[n + k] = -2.0 * p.c[k] * by[k]; // ∂d/∂δ = d
+        }
+        ((0..n).map(|k| p.c[k] * by[k]).sum(), by)
     }
 
     /// Whether the sum is positive at `points` distances up to [`BEYOND`] times the reach, and beyond.
@@ -163,6 +176,12 @@ impl Family for Sums {
         let d: Vec<f64> = x[self.terms..].iter().map(|x| -x.exp()).collect();
         x.iter().all(|x| x.is_finite()) && self.positive(&x[..self.terms], &d, 512)
     }
+
+    fn excess(&self, p: &PreparedSum) -> Option<(f64, [f64; MAX_PARAMETERS])> {
+        let most = self.most?;
+        let (total, by) = self.total(self.terms, p);
+        (total > most).then(|| ((total / most).ln(), by.map(|b| b / total)))
+    }
 }
 
 /// Solves the rows and columns `active` of the normal equations by elimination with a relative ridge.
@@ -204,7 +223,15 @@ const PLENTY: f64 = 40.0;
 ///
 /// Few samples are overfitted by many terms, which extrapolate badly. So the fits are then compared by Schwarz's criterion,
 /// N ln(S/N) + p ln N for the sum of squares S of p parameters; with many samples more terms win it anyway.
-pub(crate) fn fit_sum(data: &[Datum], terms: usize, scratch: &mut Scratch) -> Option<(Exponentials, f64)> {
+///
+/// `most` is the largest integral over a plane: samples of a short range do not tell how slow the slowest term is, and a fit would be as
+/// bright as it likes.
+pub(crate) fn fit_sum(
+    data: &[Datum],
+    terms: usize,
+    most: Option<f64>,
+    scratch: &mut Scratch,
+) -> Option<(Exponentials, f64)> {
     let reach = data.iter().map(|d| d.r).fold(0.0, f64::max);
     if reach <= 0.0 {
         return None;
@@ -213,7 +240,7 @@ pub(crate) fn fit_sum(data: &[Datum], terms: usize, scratch: &mut Scratch) -> Op
     let criterion = |n: usize, cost: f64| weight * (cost / weight + 1e-14).ln() + 2.0 * n as f64 * weight.ln();
     let mut best: Option<(Exponentials, f64, f64)> = None;
     for n in (1..=terms).rev() {
-        let Some((x, cost)) = fit(&Sums::new(n, reach), data, scratch) else { continue };
+        let Some((x, cost)) = fit(&Sums::new(n, reach, most), data, scratch) else { continue };
         // Two rates in one: the terms are not told apart by the samples, and their amplitudes mean nothing.
         let merged = (n..2 * n).any(|i| (n..i).any(|j| (x[i] - x[j]).abs() < 1e-4));
         let value = criterion(n, cost);

@@ -36,11 +36,13 @@ pub struct Params {
     pub eta: f64,
     /// Fit a factor to the dipoles too, for samples that are not in mm⁻².
     pub free_scale: bool,
+    /// The largest integral over a plane of a sum of exponentials: 1 where samples are in mm⁻² and light is not made.
+    pub most: Option<f64>,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { model: Model::Exponential, terms: 3, segments: 1, eta: 1.3, free_scale: false }
+        Self { model: Model::Exponential, terms: 3, segments: 1, eta: 1.3, free_scale: false, most: None }
     }
 }
 
@@ -81,6 +83,12 @@ impl PointFit {
         self.evaluator().map(|e| e.value(x, y))
     }
 
+    /// The integral over a plane: the share of the light that comes back, for samples in mm⁻²; 0 without a fit. Blending between
+    /// directions takes their mean.
+    pub fn total(&self) -> f64 {
+        self.segments.iter().map(|s| s.curve.total()).sum::<f64>() / self.segments.len().max(1) as f64
+    }
+
     /// The fit in the form that is quick to evaluate at many places; `None` without a fit.
     pub fn evaluator(&self) -> Option<PointEvaluator<'_>> {
         let segments: Vec<_> = self.segments.iter().map(|s| s.curve.evaluator()).collect();
@@ -109,6 +117,9 @@ impl PointEvaluator<'_> {
     }
 }
 
+/// A refined blend may be this much too bright: amplitudes are lowered by as much afterwards.
+const ROUNDING: f64 = 1.01;
+
 /// Weight of samples that a direction needs for a fall-off of its own.
 const FEWEST: f64 = 6.0;
 
@@ -136,19 +147,46 @@ impl Fitter {
     /// floor and left out.
     pub fn fit(&mut self, samples: &[[f32; 3]]) -> PointFit {
         let not_finite = self.take(samples);
-        let mut found = PointFit { samples: self.samples.len(), not_finite, ..PointFit::default() };
+        let free = PointFit { not_finite, ..self.fit_taken(None) };
+        // Most fits keep to the bound by themselves, and the best of those is the free one.
+        match self.most().filter(|most| free.total() > *most) {
+            Some(most) => PointFit { not_finite, ..self.fit_taken(Some(most)) },
+            None => free,
+        }
+    }
+
+    /// Fits the samples that were taken.
+    fn fit_taken(&mut self, most: Option<f64>) -> PointFit {
+        let mut found = PointFit { samples: self.samples.len(), ..PointFit::default() };
         let m = self.params.segments;
         samples_of(&self.samples, 0, 1, &mut self.data);
-        let Some((whole, cost)) = self.fit_data() else { return found };
+        let Some((whole, cost)) = self.fit_data(most) else { return found };
         if m == 1 {
             found.rms = Some((cost / found.samples as f64).sqrt());
             found.segments = vec![Segment { curve: whole, samples: found.samples as f64, borrowed: false }];
+            darken(&mut found, most);
             return found;
         }
-        found.segments = (0..m).map(|l| self.fit_segment(l, &whole)).collect();
-        self.refine(&mut found.segments);
+        found.segments = (0..m).map(|l| self.fit_segment(l, &whole, most)).collect();
+        self.refine(&mut found.segments, most);
+        if most.is_some_and(|most| found.total() > most * ROUNDING) {
+            // What no refinement made dark enough becomes the same in all directions.
+            let curve = |s: &Segment| Segment { curve: whole.clone(), borrowed: true, ..*s };
+            found.segments = found.segments.iter().map(curve).collect();
+        }
+        darken(&mut found, most);
         found.rms = self.rms(&found);
         found
+    }
+
+    /// The dipoles keep to it by themselves, but for their free scale.
+    fn most(&self) -> Option<f64> {
+        self.params.most.filter(|_| self.params.model == Model::Exponential)
+    }
+
+    /// What later fits may send back, as [`Params::most`].
+    pub(crate) fn bound(&mut self, most: Option<f64>) {
+        self.params.most = most;
     }
 
     /// Keeps the usable samples; the number of those that are not finite is returned.
@@ -169,20 +207,20 @@ impl Fitter {
         not_finite
     }
 
-    fn fit_segment(&mut self, l: usize, whole: &Curve) -> Segment {
+    fn fit_segment(&mut self, l: usize, whole: &Curve, most: Option<f64>) -> Segment {
         samples_of(&self.samples, l, self.params.segments, &mut self.data);
         let samples = self.data.iter().map(|d| d.weight).sum();
         let enough = samples >= FEWEST;
-        match self.fit_data().filter(|_| enough) {
+        match self.fit_data(most).filter(|_| enough) {
             Some((curve, _)) => Segment { curve, samples, borrowed: false },
             None => Segment { curve: whole.clone(), samples, borrowed: true },
         }
     }
 
     /// Fits `self.data`.
-    fn fit_data(&mut self) -> Option<(Curve, f64)> {
+    fn fit_data(&mut self, most: Option<f64>) -> Option<(Curve, f64)> {
         if self.params.model == Model::Exponential {
-            let (sum, cost) = fit_sum(&self.data, self.params.terms, &mut self.scratch)?;
+            let (sum, cost) = fit_sum(&self.data, self.params.terms, most, &mut self.scratch)?;
             return Some((Curve::Exponential(sum), cost));
         }
         let reach = self.data.iter().map(|d| d.r).fold(0.0, f64::max);
@@ -197,7 +235,7 @@ impl Fitter {
     }
 
     /// Refines segments of exponentials together; those of the baselines stay as they were fitted.
-    fn refine(&mut self, segments: &mut [Segment]) {
+    fn refine(&mut self, segments: &mut [Segment], most: Option<f64>) {
         let sums: Option<Vec<_>> = segments
             .iter()
             .map(|s| match &s.curve {
@@ -207,7 +245,7 @@ impl Fitter {
             .collect();
         if let Some(mut sums) = sums {
             let fixed: Vec<bool> = segments.iter().map(|s| s.borrowed).collect();
-            refine(&mut self.samples, &mut sums, &fixed, &mut self.scratch);
+            refine(&mut self.samples, &mut sums, (&fixed, most), &mut self.scratch);
             segments.iter_mut().zip(sums).for_each(|(s, sum)| s.curve = Curve::Exponential(sum));
         }
     }
@@ -216,5 +254,15 @@ impl Fitter {
         let model = found.evaluator()?;
         let square = |s: &Directed| (model.blended(s.r, s.segment, s.blend).ln() - s.ln).powi(2);
         Some((self.samples.iter().map(square).sum::<f64>() / self.samples.len() as f64).sqrt())
+    }
+}
+
+/// Takes away what the stiffness of the bound has left above it.
+fn darken(found: &mut PointFit, most: Option<f64>) {
+    let Some(excess) = most.map(|most| found.total() / most).filter(|e| *e > 1.0) else { return };
+    for segment in &mut found.segments {
+        if let Curve::Exponential(sum) = &mut segment.curve {
+            sum.c.iter_mut().for_each(|c| *c /= excess);
+        }
     }
 }

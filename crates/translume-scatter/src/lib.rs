@@ -11,6 +11,8 @@
 //! | `segments`, `fit`, `batch` | directions, one point, all points of a list |
 //! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
 //! | `simulate` | captures of slabs and solids of heterogeneous media |
+//! | `register` | where cameras and laser of a capture were, from its frames |
+//! | `gains` | the laser's power for each frame |
 //! | `planar` | the exponential model of a flat sample, and its error |
 //! | `hierarchical` | the hierarchical model of an object: throughput between vertices, local kernels, detail |
 //! | `relight` | models of objects under new lights |
@@ -26,6 +28,7 @@ mod curve;
 mod diffusion;
 mod exponential;
 mod fit;
+mod gains;
 pub mod hierarchical;
 mod lanes;
 mod lm;
@@ -33,6 +36,7 @@ pub mod material;
 mod npy;
 pub mod planar;
 mod radial;
+pub mod register;
 pub mod relight;
 mod segments;
 pub mod simulate;

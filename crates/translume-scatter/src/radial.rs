@@ -31,6 +31,11 @@ pub(crate) trait Family {
 
     /// The last word about a fit: whether it may be used.
     fn sound(&self, x: &[f64]) -> bool;
+
+    /// By how much, as a logarithm, the curve is brighter than it may be, with the derivatives by the parameters; `None` where it is not.
+    fn excess(&self, _: &Self::Prepared) -> Option<(f64, [f64; MAX_PARAMETERS])> {
+        None
+    }
 }
 
 /// A sample, or the mean of some.
@@ -85,8 +90,23 @@ impl<F: Family> LogFit<'_, F> {
             gradient[a] = sums.right(a);
             (a..n).for_each(|b| normal[a * n + b] = sums.product(a, b));
         }
-        Some(sums.cost())
+        let Some((excess, by)) = self.family.excess(&prepared) else { return Some(sums.cost()) };
+        let all: f64 = self.data.iter().map(|d| d.weight).sum();
+        Some(sums.cost() + punish(all, excess, &by[..n], normal, gradient))
     }
+}
+
+/// Weight of an excess against that of all data together: what is left of it is some 10⁻⁴.
+const STIFFNESS: f64 = 1000.0;
+
+/// Adds an excess as one more residual; its square is returned. `weight` is that of all data.
+pub(crate) fn punish(weight: f64, excess: f64, by: &[f64], normal: &mut [f64], gradient: &mut [f64]) -> f64 {
+    let (n, stiffness) = (by.len(), STIFFNESS * weight);
+    for a in 0..n {
+        gradient[a] += stiffness * excess * by[a];
+        (a..n).for_each(|b| normal[a * n + b] += stiffness * by[a] * by[b]);
+    }
+    stiffness * excess * excess
 }
 
 /// Four partial sums of everything, so that they are vectors.

@@ -9,7 +9,7 @@ use crate::curve::Exponentials;
 use crate::exponential::{PreparedSum, Sums, to_exponentials};
 use crate::lanes::{Block, LANES, with_avx2};
 use crate::lm::{Limits, Problem, minimise};
-use crate::radial::{Datum, Family, MAX_PARAMETERS, SMALLEST, Scratch, Squares};
+use crate::radial::{Datum, Family, MAX_PARAMETERS, SMALLEST, Scratch, Squares, punish};
 use std::f64::consts::TAU;
 
 /// A sample with its direction.
@@ -58,6 +58,8 @@ struct Blended<'a> {
     offsets: Vec<usize>,
     /// Segments that stay as they are.
     fixed: &'a [bool],
+    /// The largest integral over a plane of the blend, which is the mean of those of its segments.
+    most: Option<f64>,
 }
 
 impl Problem for Blended<'_> {
@@ -82,7 +84,30 @@ impl Problem for Blended<'_> {
                 false => add_pair::<{ 2 * MAX_PARAMETERS }>(group, &pair, offsets, normal, gradient)?,
             };
         }
-        Some(cost)
+        Some(cost + self.excess(&prepared, normal, gradient))
+    }
+}
+
+impl Blended<'_> {
+    /// Adds what is too bright to the normal equations.
+    fn excess(&self, prepared: &[PreparedSum], normal: &mut [f64], gradient: &mut [f64]) -> f64 {
+        let Some(most) = self.most else { return 0.0 };
+        let mut by = vec![0.0; self.parameters()];
+        let mut total = 0.0;
+        for (l, at) in prepared.iter().enumerate() {
+            let n = self.families[l].parameters() / 2;
+            let (of_segment, derivatives) = self.families[l].total(n, at);
+            total += of_segment / prepared.len() as f64;
+            if !self.fixed[l] {
+                let own = &mut by[self.offsets[l]..self.offsets[l + 1]];
+                own.iter_mut().zip(derivatives).for_each(|(b, d)| *b = d / prepared.len() as f64);
+            }
+        }
+        if total <= most {
+            return 0.0;
+        }
+        by.iter_mut().for_each(|b| *b /= total);
+        punish(self.samples.len() as f64, (total / most).ln(), &by, normal, gradient)
     }
 }
 
@@ -159,7 +184,12 @@ fn sum_pair_here<const N: usize>(group: &[Directed], pair: &[Side<'_>; 2], sums:
 
 /// Refines sums that were fitted apart on all samples together, but for those that are `fixed`; left as they are where that
 /// finds nothing sound. At least three segments: with two, a segment is both neighbours of the other.
-pub(crate) fn refine(samples: &mut [Directed], segments: &mut [Exponentials], fixed: &[bool], scratch: &mut Scratch) {
+pub(crate) fn refine(
+    samples: &mut [Directed],
+    segments: &mut [Exponentials],
+    (fixed, most): (&[bool], Option<f64>),
+    scratch: &mut Scratch,
+) {
     let reach = samples.iter().map(|s| s.r).fold(0.0, f64::max);
     samples.sort_by_key(|s| s.segment);
     let mut offsets = vec![0];
@@ -169,9 +199,14 @@ pub(crate) fn refine(samples: &mut [Directed], segments: &mut [Exponentials], fi
         x.extend(s.d.iter().map(|d| (-d).ln()));
         offsets.push(x.len());
     }
-    let families: Vec<Sums> = segments.iter().map(|s| Sums::new(s.c.len(), reach)).collect();
-    let problem = Blended { samples, families, offsets, fixed };
-    if minimise(&problem, &mut x, Limits { steps: 25, tolerance: 1e-4 }, &mut scratch.lm).is_none() {
+    let families: Vec<Sums> = segments.iter().map(|s| Sums::new(s.c.len(), reach, None)).collect();
+    let problem = Blended { samples, families, offsets, fixed, most };
+    // Along a bound the steps are short.
+    let limits = match most {
+        None => Limits { steps: 25, tolerance: 1e-4 },
+        Some(_) => Limits { steps: 150, tolerance: 1e-6 },
+    };
+    if minimise(&problem, &mut x, limits, &mut scratch.lm).is_none() {
         return;
     }
     let part = |l: usize| &x[problem.offsets[l]..problem.offsets[l + 1]];

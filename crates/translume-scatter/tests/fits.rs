@@ -182,6 +182,29 @@ fn segments_follow_the_direction() {
 }
 
 #[test]
+fn bounded_fits_send_back_no_more_than_they_may() {
+    // Samples up to 4 mm of a fall-off so slow that 5.6 times the light would come back, and of one that turns with direction.
+    let slow = |r: f64, phi: f64| 0.02 * (-(0.15 + 0.05 * phi.cos()) * r).exp() + 0.02 * (-2.0 * r).exp();
+    let honest = |r: f64, _: f64| 0.02 * (-0.5 * r).exp() + 0.05 * (-2.0 * r).exp();
+    for segments in [1, 8] {
+        let free = Params { segments, ..Params::default() };
+        let bounded = Params { most: Some(1.0), ..free.clone() };
+        for (count, seed) in [(60, 3), (3000, 4)] {
+            let data: Vec<[f32; 3]> =
+                samples(count, 0.1, seed, slow).into_iter().filter(|s| s[0].hypot(s[1]) < 4.0).collect();
+            assert!(fit(&free, &data).total() > 1.5);
+            let found = fit(&bounded, &data);
+            assert!(found.total() <= 1.0 + 1e-9 && found.total() > 0.9, "{segments} {count}: {}", found.total());
+            // It still goes through the samples as well as such a curve can.
+            assert!(found.rms.unwrap() < 0.35, "{segments} {count}: {:?}", found.rms);
+        }
+        // What is dark enough anyway is not changed.
+        let data = samples(2000, 0.05, 5, honest);
+        assert_eq!(fit(&bounded, &data), fit(&free, &data));
+    }
+}
+
+#[test]
 fn a_direction_without_samples_borrows_and_says_so() {
     let mut data = samples(2000, 0.02, 8, |r, _| (-r).exp());
     data.retain(|s| s[0] < 0.0); // the right half was not seen

@@ -55,7 +55,23 @@ fn ways_to_say_a_material() {
     assert_eq!(given.roughness, Some((Distribution::Ggx, 0.3)));
     let by_look = made("<rgb name=\"reflectance\" value=\"0.7 0.5 0.2\"/><float name=\"mfp\" value=\"0.5\"/>");
     assert!((by_look.model.total(&site(0.0)) - Rgb::new(0.7, 0.5, 0.2)).abs().max_element() < 1e-3);
+    // OpenPBR's words: the radius is the mean free path, shorter in green and blue.
+    let openpbr = made(
+        "<rgb name=\"subsurface_color\" value=\"0.8 0.6 0.4\"/><float name=\"subsurface_radius\" value=\"0.4\"/>
+         <rgb name=\"subsurface_radius_scale\" value=\"1 0.5 0.2\"/><float name=\"subsurface_scatter_anisotropy\" value=\"0.5\"/>",
+    );
+    let same = Homogeneous::from_reflectance(
+        Diffusion::Dipole,
+        Rgb::new(0.8, 0.6, 0.4),
+        Rgb::new(0.8, 0.4, 0.16),
+        openpbr.eta,
+    );
+    assert!((value(&*openpbr.model) - value(&same.unwrap())).abs().max_element() < 1e-6);
     for (wrong, says) in [
+        (
+            "<float name=\"subsurface_color\" value=\"0.5\"/><float name=\"subsurface_scatter_anisotropy\" value=\"1\"/>",
+            "between −1 and 1",
+        ),
         ("<string name=\"material\" value=\"granite\"/>", "not known"),
         ("<float name=\"sigma_s\" value=\"0\"/>", "no scattering material"),
         ("<float name=\"sigma_s\" value=\"1\"/><string name=\"model\" value=\"x\"/>", "no model of diffusion"),
@@ -121,4 +137,49 @@ fn what_is_measured_comes_from_the_loader() {
     assert!(made.in_object_space && made.mm_per_unit == 1000.0 && made.eta == 1.3);
     let failing = LoadOptions { bssrdf_loader: Some(|_| Err("a broken model".into())), ..LoadOptions::default() };
     assert!(load(&file, &failing).unwrap_err().to_string().contains("a broken model"));
+}
+
+/// A triangle whose material has these extensions.
+fn gltf(extensions: &str) -> translume_scene::Result<Scene> {
+    let folder = Folder::new();
+    let positions: Vec<u8> =
+        [0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    folder.write("t.bin", positions);
+    let text = format!(
+        r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}], "nodes": [{{"mesh": 0}}],
+        "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}}, "material": 0}}]}}],
+        "materials": [{{"pbrMetallicRoughness": {{"baseColorFactor": [0.2, 0.4, 0.6, 1], "roughnessFactor": 0.5}},
+            "extensions": {{"KHR_materials_ior": {{"ior": 1.4}}, {extensions}}}}}],
+        "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}}],
+        "bufferViews": [{{"buffer": 0, "byteLength": 36}}], "buffers": [{{"uri": "t.bin", "byteLength": 36}}]}}"#
+    );
+    folder.load("scene.gltf", &text)
+}
+
+#[test]
+fn volumes_of_gltf_that_light_enters_diffusely() {
+    const VOLUME: &str = r#""KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 0.02, "attenuationColor": [0.9, 0.5, 0.3]}"#;
+    let made = |more: &str| under(&gltf(&format!("{VOLUME}, {more}")).unwrap());
+    let like = |found: &Subsurface, reflectance: Rgb, path: Rgb| {
+        assert!((found.eta - 1.4).abs() < 1e-4 && found.roughness == Some((Distribution::Ggx, 0.25)), "{found:?}");
+        let same = Homogeneous::from_reflectance(Diffusion::Dipole, reflectance, path, found.eta).unwrap();
+        // A unit is far away: compare where light is.
+        let at = |model: &dyn Bssrdf| model.eval(&site(0.0), &site(0.03));
+        let (a, b) = (at(&*found.model), at(&same));
+        assert!((a - b).abs().max_element() < 1e-4 * b.max_element(), "{a} {b}");
+    };
+    // Half of the surface is opaque, of the base colour; the other half has the colours of the transmission and of the volume.
+    let diffuse = r#""KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5, "diffuseTransmissionColorFactor": [1, 0.8, 0.5]}"#;
+    let expected = 0.5 * Rgb::new(0.2, 0.4, 0.6) + 0.5 * Rgb::new(0.9, 0.4, 0.15);
+    like(&made(diffuse), expected, Rgb::splat(0.02));
+    let scatter = r#""KHR_materials_volume_scatter": {"multiscatterColor": [0.8, 0.6, 0.4], "scatterAnisotropy": 0.5}"#;
+    let path = Rgb::from([0.9f32, 0.5, 0.3].map(|c| 2.0 * 0.02 / -c.ln()));
+    like(&made(scatter), Rgb::new(0.8, 0.6, 0.4), path);
+    // No medium is made of the volume as well.
+    assert!(gltf(&format!("{VOLUME}, {diffuse}")).unwrap().media.is_empty());
+    // Without a volume, or without any light through, it is the material that it would be anyway.
+    for opaque in [diffuse.to_owned(), format!("{VOLUME}, {}", diffuse.replace("0.5, \"d", "0, \"d"))] {
+        let scene = gltf(&opaque).unwrap();
+        assert!(!matches!(scene.materials[scene.shapes[0].material.0].model, Model::Subsurface(_)), "{opaque}");
+    }
 }

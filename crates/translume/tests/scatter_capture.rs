@@ -30,6 +30,16 @@ fn a_capture_becomes_a_model_and_a_report() {
     assert_eq!(rig["laser"]["hits_mm"].as_array().unwrap().len(), 9);
     let fitted = json(dir, &["scatter", "fit", "a b", "--segments", "4", "-o", "model"]);
     assert_eq!((&fitted["points"], &fitted["fitted"]), (&9.into(), &9.into()));
+    // No lit point sends back more than it got: the mean of ∫ 2πr Σ c e^(dr) dr over its directions.
+    let model: Value = serde_json::from_str(&fs::read_to_string(dir.join("model/model.json")).unwrap()).unwrap();
+    let number = |v: &Value| v.as_f64().unwrap();
+    for fit in model["points"].as_array().unwrap().iter().flat_map(|p| p["fall_off"].as_array().unwrap()) {
+        let term = |(c, d): (&Value, &Value)| std::f64::consts::TAU * number(c) / number(d).powi(2);
+        let total =
+            |s: &Value| s["c"].as_array().unwrap().iter().zip(s["d"].as_array().unwrap()).map(term).sum::<f64>();
+        let mean = fit["segments"].as_array().unwrap().iter().map(total).sum::<f64>() / 4.0;
+        assert!(mean > 0.01 && mean <= 1.0 + 1e-9, "{mean}");
+    }
     let told = json(dir, &["scatter", "report", "a b", "model", "-o", "report"]);
     let models = told["models"].as_array().unwrap();
     let green = |name: &str| models.iter().find(|m| m["model"] == name).unwrap()["ln_e"][1].as_f64().unwrap();
@@ -223,18 +233,33 @@ fn a_grid_is_a_medium() {
     [1i32, 2, 1, 1, 1].iter().for_each(|n| vol.extend(n.to_le_bytes()));
     [0.0f32, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0].iter().for_each(|x| vol.extend(x.to_le_bytes()));
     fs::write(dir.join("two.vol"), vol).unwrap();
-    let capture = |name: &str, offset: &str| {
-        let common = ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--field", "16"];
-        let more = ["--photons", "200", "--noise-free", "--spots", "2", "--spacing", offset, "-o", name];
-        translume(dir, &[&common[..], &more].concat()).ok();
-    };
-    capture("c", "8");
+    let common = ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--field", "16"];
+    let more = ["--photons", "200", "--noise-free", "--spots", "2", "--spacing", "8", "-o"];
+    translume(dir, &[&common[..], &more, &["c"]].concat()).ok();
+    translume(dir, &[&common[..], &more, &["solid", "--base", "2"]].concat()).ok();
     // Where nothing scatters, nothing comes back: the frames of the right spots are darker.
-    let light = |position: usize| {
-        let packed = fs::read(dir.join(format!("c/frames/c/0/{position}/1/0/0"))).unwrap();
+    let light = |name: &str, position: usize| {
+        let packed = fs::read(dir.join(format!("{name}/frames/c/0/{position}/1/0/0"))).unwrap();
         let mut bytes = Vec::new();
         std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes).unwrap();
         bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).sum::<f64>()
     };
-    assert!(light(0) > 5.0 * light(1), "{} {}", light(0), light(1));
+    let [left, right] = [light("c", 0), light("c", 1)];
+    assert!(left > 5.0 * right, "{left} {right}");
+    // With the same extinction everywhere both sides are alike.
+    let [left, right] = [light("solid", 0), light("solid", 1)];
+    assert!((left / right).ln().abs() < 0.4, "{left} {right}");
+
+    // Something solid around it, and numbers that are no density.
+    let with = |more: &[&str]| {
+        let common =
+            ["scatter", "simulate", "grid", "--grid", "two.vol", "--pixels", "8", "--photons", "20", "-o", "d"];
+        translume(dir, &[&common[..], more].concat())
+    };
+    assert!(with(&["--base=-1"]).error(2).contains("--base"));
+    let mut bytes = fs::read(dir.join("two.vol")).unwrap();
+    let values = bytes.len() - 8;
+    bytes[values..].fill(0);
+    fs::write(dir.join("two.vol"), bytes).unwrap();
+    assert!(with(&[]).error(1).contains("no density"));
 }

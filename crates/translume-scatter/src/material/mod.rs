@@ -193,6 +193,7 @@ mod tests {
             threshold: 4.0,
             channels: names(),
             eta: 1.4,
+            gains: Vec::new(),
         };
         let material = VertexMaterial::new(Path::new("m"), &head, &model, mesh.clone()).unwrap();
         let (from, to) = (site([1.0, 2.0, 0.0]), site([2.0, 2.0, 1.0]));

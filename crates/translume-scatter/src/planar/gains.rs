@@ -7,15 +7,9 @@
 //! virtual media that is below 2 %.
 
 use super::samples::PlanarCapture;
+use crate::gains::{PAIRS, SEEN, solve};
 use rayon::prelude::*;
 use translume_image::Result;
-
-/// Pairs lie at distances between these, in diameters of the beam: nearer ones see each other's spot, farther ones noise.
-const PAIRS: (f64, f64) = (0.6, 2.6);
-/// Of a pair at least this share of the beam's profile is above the noise.
-const SEEN: f64 = 0.95;
-/// Rounds of Gauss and Seidel.
-const ROUNDS: usize = 1000;
 
 /// Gains for each spot and channel, 1 where a spot has no pairs.
 ///
@@ -79,44 +73,4 @@ fn pairs(received: &[Vec<Vec<(usize, f64)>>], channel: usize) -> Vec<Vec<(usize,
         all.filter_map(|&(j, there)| Some((j, (there / back(j, i)?).ln()))).collect()
     };
     (0..received.len()).map(of).collect()
-}
-
-/// Least squares of ln g_i − ln g_j = y_ij, of mean 0.
-fn solve(pairs: &[Vec<(usize, f64)>]) -> Vec<f64> {
-    let mut ln = vec![0.0; pairs.len()];
-    for _ in 0..ROUNDS {
-        let mut change = 0.0f64;
-        for (i, partners) in pairs.iter().enumerate().filter(|(_, p)| !p.is_empty()) {
-            let mean = partners.iter().map(|(j, y)| ln[*j] + y).sum::<f64>() / partners.len() as f64;
-            change = change.max((mean - ln[i]).abs());
-            ln[i] = mean;
-        }
-        if change < 1e-6 {
-            break;
-        }
-    }
-    let known = pairs.iter().filter(|p| !p.is_empty()).count().max(1);
-    let mean = ln.iter().sum::<f64>() / known as f64;
-    ln.iter().zip(pairs).map(|(l, p)| if p.is_empty() { 0.0 } else { l - mean }).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn gains_are_what_pairs_agree_on() {
-        let truth = [0.3, -0.1, 0.2, -0.4];
-        let pair = |i: usize, j: usize| (j, truth[i] - truth[j]);
-        // A chain, and a spot alone.
-        let pairs = vec![
-            vec![pair(0, 1)],
-            vec![pair(1, 0), pair(1, 2)],
-            vec![pair(2, 1), pair(2, 3)],
-            vec![pair(3, 2)],
-            vec![],
-        ];
-        let found = solve(&pairs);
-        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-4) && found[4] == 0.0, "{found:?}");
-    }
 }

@@ -88,7 +88,7 @@ pub fn fit_planar(capture: &PlanarCapture, params: &PlanarParams, progress: impl
         progress();
         Ok(match params.shared {
             true => {
-                let (scale, fall_off) = fit_shared(fitter, &samples);
+                let (scale, fall_off) = fit_shared(fitter, &samples, params.fit.most);
                 LitPoint { at_mm: spot.at, scale, fall_off: vec![fall_off] }
             }
             false => LitPoint {
@@ -119,8 +119,10 @@ fn samples(capture: &PlanarCapture, index: usize, spot: &Spot) -> Result<Vec<Vec
 }
 
 /// One fall-off for all channels: factors by the mean logarithm over pixels that all channels see, a fit to all samples on the
-/// first channel's level, and factors again by the mean logarithm against the fit. `samples` are the same places in each channel.
-pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>]) -> (Vec<f64>, PointFit) {
+/// first channel's level, and factors again by the mean logarithm against the fit. `samples` are the same places in each channel. `most` may
+/// come back in the brightest channel, over a plane.
+pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>], most: Option<f64>) -> (Vec<f64>, PointFit) {
+    let brightest = |logs: &[f64]| logs.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp();
     let channels = samples.len();
     let ratio = |c: usize| {
         let both = samples[0].iter().zip(&samples[c]).filter(|(a, b)| a[2] > 0.0 && b[2] > 0.0);
@@ -133,6 +135,7 @@ pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>]) -> (Vec
             let factor = (-l).exp() as f32;
             s.iter().map(move |&[x, y, v]| [x, y, v * factor])
         });
+        fitter.bound(most.map(|m| m / brightest(&logs)));
         fall_off = fitter.fit(&scaled.collect::<Vec<_>>());
         let Some(model) = fall_off.evaluator() else { break };
         for (log, s) in logs.iter_mut().zip(samples) {
@@ -141,7 +144,8 @@ pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>]) -> (Vec
             *log = mean(above).unwrap_or(*log);
         }
     }
-    (logs.into_iter().map(f64::exp).collect(), fall_off)
+    let excess = most.map_or(1.0, |m| (fall_off.total() * brightest(&logs) / m).max(1.0));
+    (logs.into_iter().map(|l| l.exp() / excess).collect(), fall_off)
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {

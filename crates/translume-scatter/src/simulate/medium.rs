@@ -67,6 +67,12 @@ impl Medium {
         (self.size, [self.origin, high], &self.cells)
     }
 
+    /// Mean over the cells of the reduced extinction σs (1 − g) + σa of the least absorbed channel.
+    pub(crate) fn mean_extinction(&self) -> f64 {
+        let least = |c: &Local| c.sigma_s * (1.0 - c.g) + c.sigma_a.iter().copied().fold(f32::INFINITY, f32::min);
+        self.cells.iter().map(|c| f64::from(least(c))).sum::<f64>() / self.cells.len() as f64
+    }
+
     #[inline]
     pub(crate) fn at(&self, p: [f64; 3]) -> Local {
         let cell = |axis: usize| ((p[axis] - self.origin[axis]) / self.cell_mm).floor() as i64;

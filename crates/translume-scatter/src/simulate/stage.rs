@@ -138,6 +138,8 @@ struct Pilot {
     brightest: f64,
 }
 
+/// The first guess falls off so fast, per mm, in a medium of a mean extinction of 1 per mm or more.
+const STEEP: f64 = 0.35;
 /// Rings of the pilot's profile, 1 mm wide.
 const RINGS: usize = 64;
 
@@ -148,8 +150,9 @@ impl Pilot {
         params: &CaptureParams,
         laser: &Laser,
     ) -> Self {
-        // A first guess of the fall-off, so that the outer rings are reached.
-        let guess = (0..4 * RINGS).map(|i| (-0.35 * i as f64 * Importance::STEP_MM).exp().max(1e-5)).collect();
+        // A first guess of the fall-off, so that the outer rings are reached; where light goes far anyway it is not made to.
+        let rate = STEEP * medium.mean_extinction().min(1.0);
+        let guess = (0..4 * RINGS).map(|i| (-rate * i as f64 * Importance::STEP_MM).exp().max(1e-5)).collect();
         let importance = Importance::new(guess);
         let world = World { body: stage.body(), medium, interface, importance: &importance };
         let few = CaptureParams { photons: PILOT.min(params.photons), ..params.clone() };
@@ -205,7 +208,9 @@ fn wanted(profile: &[[f64; 2]], reach: f64) -> Vec<f64> {
         let at = (r - 0.5).clamp(0.0, (ln.len() - 2) as f64);
         let (k, t) = (at as usize, at.fract());
         let value = (ln[k] * (1.0 - t) + ln[k + 1] * t).exp().clamp(1e-9, 1.0);
-        if r > reach { (30.0 * value).min(1.0) } else { value }
+        // Outside of all frames the less: through an almost empty slab light runs for ever.
+        let outside = (r / (1.5 * reach)).max(1.0).powi(4);
+        if r > reach { (30.0 * value * outside).min(1.0) } else { value }
     };
     (0..profile.len() * 4).map(table).collect()
 }

@@ -110,6 +110,8 @@ impl Importance {
     pub const STEP_MM: f64 = 0.25;
     /// Most copies that one collision makes.
     const SPLIT: f64 = 12.0;
+    /// Most photons that wait; with more of them none is split. In a thin medium light goes far, and each copy would have copies.
+    const WAITING: usize = 1000;
 
     /// The same everywhere: only roulette.
     pub fn flat() -> Self {
@@ -230,7 +232,8 @@ impl<B: Body> World<'_, B> {
     fn window(&self, photon: &mut Photon, entry: [f64; 3], rng: &mut Pcg32, waiting: &mut Vec<Photon>) -> bool {
         let most = photon.weight.iter().copied().fold(0.0, f64::max);
         let wanted = self.importance.at(photon.p, entry);
-        if most > 2.0 * wanted && self.importance.wanted.len() > 1 {
+        let room = waiting.len() < Importance::WAITING && self.importance.wanted.len() > 1;
+        if most > 2.0 * wanted && room {
             let copies = (most / wanted).min(Importance::SPLIT).floor();
             photon.weight = photon.weight.map(|w| w / copies);
             waiting.extend(std::iter::repeat_n(*photon, copies as usize - 1));

@@ -30,6 +30,43 @@ pub struct VertexHead {
     /// Relative index of refraction that the samples were made with; since 1.1, before: 1.3.
     #[serde(default = "eta_before")]
     pub eta: f64,
+    /// Power of the laser in each frame, against what the rig says, where it was estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gains: Vec<FrameGain>,
+}
+
+/// The laser's power while the channels of a frame were taken.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameGain {
+    /// View and laser position.
+    pub frame: [usize; 2],
+    /// For each channel.
+    pub power: Vec<f64>,
+}
+
+impl FrameGain {
+    /// The gains of a capture, as they are written down.
+    pub fn of(mesh: &MeshCapture) -> Vec<Self> {
+        let beam = |(i, gains): (usize, &Vec<Vec<f64>>)| {
+            let (position, views) = (mesh.beams[i].position, mesh.views(i).to_vec());
+            let frame = move |(view, power): (usize, Vec<f64>)| Self { frame: [view, position], power };
+            views.into_iter().zip(gains.clone()).map(frame)
+        };
+        mesh.gains.iter().enumerate().flat_map(beam).collect()
+    }
+
+    /// Gives `mesh` the gains of a file; 1 for frames that it does not name.
+    pub fn restore(gains: &[Self], mesh: &mut MeshCapture) {
+        let channels = mesh.capture.rig.channels.len();
+        let found: std::collections::HashMap<[usize; 2], &Self> = gains.iter().map(|g| (g.frame, g)).collect();
+        let power = |view: usize, position: usize| {
+            found.get(&[view, position]).map_or_else(|| vec![1.0; channels], |g| g.power.clone())
+        };
+        if !gains.is_empty() {
+            let of = |i: usize| mesh.views(i).iter().map(|&v| power(v, mesh.beams[i].position)).collect();
+            mesh.gains = (0..mesh.beams.len()).map(of).collect();
+        }
+    }
 }
 
 fn eta_before() -> f64 {
@@ -110,6 +147,11 @@ pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMes
     let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no sound triangles"))?;
     let sound = |v: &super::Vertex| v.scale.len() == head.channels.len() && v.fall_off.segments.len() <= 1;
     let counts = model.vertices.len() == mesh.positions.len() && (1..=32).contains(&model.texels_per_edge);
+    let gain =
+        |g: &FrameGain| g.power.len() == head.channels.len() && g.power.iter().all(|p| *p > 0.0 && p.is_finite());
+    if !head.gains.iter().all(gain) {
+        return Err(Error::invalid(&file, "its gains do not go with its channels"));
+    }
     if !counts || head.channels.is_empty() || !model.vertices.iter().all(sound) {
         return Err(Error::invalid(&file, "its vertices do not go with its mesh and channels"));
     }

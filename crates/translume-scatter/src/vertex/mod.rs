@@ -6,12 +6,14 @@
 
 mod error;
 mod file;
+mod gains;
 mod interpolate;
 mod model;
 mod samples;
 
 pub use error::error_map;
 pub(crate) use file::FORMAT;
-pub use file::{VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, read_vertex_model, save_vertex_model};
+pub use file::{FrameGain, VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, read_vertex_model, save_vertex_model};
+pub use gains::estimate_gains;
 pub use model::{Faults, Vertex, VertexModel, VertexParams, fit_vertices};
 pub use samples::{Beam, MeshCapture};

@@ -128,7 +128,7 @@ pub fn fit_vertices(mesh: &MeshCapture, params: &VertexParams, progress: impl Fn
     let one = |fitters: &mut Vec<Fitter>, beam: usize| -> Result<Vec<Found>> {
         let samples = samples(mesh, beam)?;
         progress();
-        Ok(fitters.iter_mut().map(|f| fit_shared(f, &samples)).collect())
+        Ok(fitters.iter_mut().map(|f| fit_shared(f, &samples, None)).collect())
     };
     // From the most terms down; one fitter each.
     let make = || -> Vec<Fitter> {

@@ -16,6 +16,8 @@ pub(super) struct Pixel {
     pub(super) at: [f64; 3],
     pub(super) face: u32,
     pub(super) uv: [f32; 2],
+    /// Cosine of the line of sight.
+    pub(super) cos: f32,
     /// 1/F_t towards the camera.
     inverse: f64,
 }
@@ -27,6 +29,8 @@ pub struct Beam {
     pub position: usize,
     /// Where it hits, in mm.
     pub at: [f64; 3],
+    /// Cosine of incidence, 0.05 at least.
+    pub cos: f64,
     /// Triangle of the mesh that it hits, and weights of its corners.
     pub on: Option<(u32, [f64; 3])>,
     /// R_d per radiance, without the pixel's Fresnel factor, for power 1.
@@ -43,6 +47,9 @@ pub struct MeshCapture {
     pub dark: usize,
     /// Multiple of the noise floor above which a pixel is a sample.
     pub threshold: f64,
+    /// Power of the laser in the frames of each beam, its views and the channels, against what the rig says; empty where that is taken to
+    /// be right.
+    pub gains: Vec<Vec<Vec<f64>>>,
     /// Its mesh, for rays.
     pub surface: Surface,
     /// What each pixel of each view sees.
@@ -67,7 +74,16 @@ impl MeshCapture {
         let surface = Surface::new(capture.mesh.clone());
         let surface = surface.ok_or_else(|| Error::unsupported(&file, "too many triangles"))?;
         let pixels = (0..capture.rig.views.len()).map(|v| seen(&capture, &surface, v)).collect();
-        let mut mesh = Self { capture, beams: Vec::new(), dark: 0, threshold, surface, pixels, views: Vec::new() };
+        let mut mesh = Self {
+            capture,
+            beams: Vec::new(),
+            dark: 0,
+            threshold,
+            gains: Vec::new(),
+            surface,
+            pixels,
+            views: Vec::new(),
+        };
         for position in 0..mesh.capture.rig.laser.hits_mm.len() {
             let views = mesh.lit_views(position)?;
             match views.is_empty() {
@@ -100,7 +116,7 @@ impl MeshCapture {
         let cos = place.map_or(1.0, |p| -dot(direction, p.normal.as_dvec3().to_array())).max(0.05);
         let entered = f64::from(1.0 - fresnel::dielectric(cos as f32, self.capture.rig.eta as f32).reflectance);
         let on = place.map(|p| (p.face, Surface::weights(&p)));
-        Beam { position, at, on, gain: PI / entered }
+        Beam { position, at, cos, on, gain: PI / entered }
     }
 
     /// R_d in mm⁻² for all pixels of a view's frame of a beam; 0 where it is no sample.
@@ -108,11 +124,15 @@ impl MeshCapture {
     /// # Errors
     /// Those of reading frames.
     pub fn reflectance(&self, beam: usize, view: usize, channel: usize) -> Result<Vec<f32>> {
+        let drift = self.gains.get(beam).map_or(1.0, |gains| {
+            let own = self.views[beam].iter().position(|v| *v == view);
+            own.map_or(1.0, |k| gains[k][channel])
+        });
         let beam = &self.beams[beam];
         let frame = self.capture.frames.read(view, beam.position, channel)?;
         let frame = frame.ok_or_else(|| Error::invalid(&self.capture.path, "a frame vanished while it was read"))?;
         let rig = &self.capture.rig;
-        let scale = beam.gain * rig.channels[channel].white_balance / rig.laser.power[channel];
+        let scale = beam.gain / drift * rig.channels[channel].white_balance / rig.laser.power[channel];
         let floor = (self.threshold * rig.channels[channel].noise_floor) as f32;
         let value = |(l, pixel): (&f32, &Option<Pixel>)| match pixel {
             Some(p) if *l > floor && l.is_finite() => (f64::from(*l) * scale * p.inverse) as f32,
@@ -171,7 +191,8 @@ fn seen(capture: &Capture, surface: &Surface, view: usize) -> Vec<Option<Pixel>>
     let pixel = |i: usize| {
         let (place, cos) = all[i].filter(|(_, cos)| *cos >= GRAZING && inner(i))?;
         let through = f64::from(1.0 - fresnel::dielectric(cos as f32, capture.rig.eta as f32).reflectance);
-        Some(Pixel { at: place.at, face: place.face, uv: place.uv, inverse: 1.0 / through.max(1e-6) })
+        let cos = cos as f32;
+        Some(Pixel { at: place.at, face: place.face, uv: place.uv, cos, inverse: 1.0 / through.max(1e-6) })
     };
     (0..w * h).map(pixel).collect()
 }

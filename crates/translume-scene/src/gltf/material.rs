@@ -1,10 +1,11 @@
 //! glTF materials as Mitsuba's principled BSDF and its neighbours.
 //!
 //! Transmission without thickness is a thin sheet, with thickness a solid whose absorption is a medium inside. Alpha is a
-//! mask; with a cutoff its picture is thresholded before filtering.
+//! mask; with a cutoff its picture is thresholded before filtering. Diffuse transmission into a volume, and volumes that scatter (a
+//! draft), are translucent: see [`Loader::translucent`].
 
 use super::{Dress, Loader, index_of, vector3};
-use crate::material::{Dielectric, Model, Principled};
+use crate::material::{Dielectric, Model, Principled, Subsurface};
 use crate::medium::{Medium, Volume};
 use crate::scene::{MaterialId, MediumId, TextureId};
 use crate::texture::{Bitmap, Channel, Filter, Texture, Wrap};
@@ -13,7 +14,8 @@ use glam::{DAffine2, DMat2, DVec2};
 use serde_json::Value;
 use std::path::PathBuf;
 use std::sync::Arc;
-use translume_bxdf::{Phase, Rgb};
+use translume_bxdf::homogeneous::{Diffusion, Homogeneous};
+use translume_bxdf::{Distribution, Phase, Rgb};
 use translume_image::{Picture, Rgb32FImage};
 
 impl Loader {
@@ -63,6 +65,8 @@ impl Loader {
         let model = if is_unlit {
             self.warn_once(format!("material {name:?} is unlit; it is taken as diffuse"));
             Model::Diffuse { reflectance: base_color }
+        } else if let Some(model) = self.translucent(extensions, pbr, base_color, name)? {
+            model
         } else if old.is_null() {
             self.metal_or_not(pbr, extensions, base_color)?
         } else {
@@ -110,6 +114,72 @@ impl Loader {
         })))
     }
 
+    /// Light that goes into a volume in all directions and comes out elsewhere, as a dipole: `KHR_materials_volume` with thickness and an
+    /// attenuation, and `KHR_materials_diffuse_transmission` or the draft `KHR_materials_volume_scatter`.
+    ///
+    /// The attenuation distance is that between two meetings with particles. With the draft, the attenuation is σ_t = −ln(color)/distance and
+    /// `multiscatterColor` is what comes back; without it the same distance holds for all colours, and what comes back is the
+    /// transmission's colour times the attenuation's. The part of the surface that does not transmit is part of what comes back.
+    fn translucent(
+        &mut self,
+        extensions: &Value,
+        pbr: &Value,
+        base_color: TextureId,
+        name: &str,
+    ) -> Result<Option<Model>> {
+        let volume = &extensions["KHR_materials_volume"];
+        let (through, scatter) =
+            (&extensions["KHR_materials_diffuse_transmission"], &extensions["KHR_materials_volume_scatter"]);
+        let amount = match (through.is_null(), scatter.is_null()) {
+            (true, true) => return Ok(None),
+            (true, false) => 1.0,
+            (false, _) => through["diffuseTransmissionFactor"].as_f64().unwrap_or(0.0).clamp(0.0, 1.0) as f32,
+        };
+        let distance = volume["attenuationDistance"].as_f64().filter(|d| *d > 0.0 && d.is_finite());
+        let solid = volume["thicknessFactor"].as_f64().unwrap_or(0.0) > 0.0;
+        let Some(distance) = distance.filter(|_| solid && amount > 0.0) else {
+            if amount > 0.0 {
+                let what =
+                    "lets light through diffusely without a volume of an attenuation distance; it is taken as opaque";
+                self.warn_once(format!("material {name:?} {what}"));
+            }
+            return Ok(None);
+        };
+        let distance = distance as f32;
+        let attenuation = vector3(&volume["attenuationColor"], [1.0; 3]).clamp(Rgb::splat(1e-6), Rgb::ONE);
+        let base = self.builder.scene.constant(base_color).unwrap_or_else(|| {
+            self.warn_once(format!("material {name:?} is translucent; the texture of its base colour is not used"));
+            vector3(&pbr["baseColorFactor"], [1.0; 3])
+        });
+        let colored = [&through["diffuseTransmissionTexture"], &through["diffuseTransmissionColorTexture"]];
+        if colored.iter().any(|t| !t.is_null()) || !scatter["multiscatterColorTexture"].is_null() {
+            self.warn_once(format!("material {name:?} is translucent; textures of its transmission are not used"));
+        }
+        let tint = vector3(&through["diffuseTransmissionColorFactor"], [1.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let (inside, path) = match scatter.is_null() {
+            true => (tint * attenuation, Rgb::splat(distance)),
+            false => {
+                let color = vector3(&scatter["multiscatterColor"], [0.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+                let g = scatter["scatterAnisotropy"].as_f64().unwrap_or(0.0).clamp(-0.99, 0.99) as f32;
+                let path = Rgb::from(attenuation.to_array().map(|c| distance / -c.min(0.9999).ln()));
+                (tint * color, path / (1.0 - g))
+            }
+        };
+        let reflectance = base.clamp(Rgb::ZERO, Rgb::ONE) * (1.0 - amount) + inside * amount;
+        let eta = index_of_refraction(extensions, 1.0);
+        let made = Homogeneous::from_reflectance(Diffusion::Dipole, reflectance, path, eta);
+        let made = made.ok_or_else(|| self.invalid(format!("material {name:?}: its volume scatters nothing")))?;
+        let rough = pbr["roughnessFactor"].as_f64().unwrap_or(1.0).clamp(0.0, 1.0) as f32;
+        Ok(Some(Model::Subsurface(Box::new(Subsurface {
+            model: Arc::new(made),
+            mm_per_unit: 1.0,
+            in_object_space: false,
+            eta,
+            roughness: (rough > 0.03).then_some((Distribution::Ggx, rough * rough)),
+            specular_reflectance: self.builder.constant(Rgb::ONE),
+        }))))
+    }
+
     fn specular_glossiness(&mut self, old: &Value, base_color: TextureId) -> Model {
         let gloss = old["glossinessFactor"].as_f64().unwrap_or(1.0).clamp(0.0, 1.0) as f32;
         let f0 = vector3(&old["specularFactor"], [1.0; 3]);
@@ -137,8 +207,9 @@ impl Loader {
         let amount = through["transmissionFactor"].as_f64().unwrap_or(0.0).clamp(0.0, 1.0) as f32;
         let solid = extensions["KHR_materials_volume"]["thicknessFactor"].as_f64().unwrap_or(0.0) > 0.0;
         let first = self.builder.material(name, model);
-        if amount > 0.0 && solid {
-            return Ok(first); // refracts, so that inside and outside differ
+        let translucent = matches!(self.builder.scene.materials[first.0].model, Model::Subsurface(_));
+        if amount > 0.0 && solid || translucent {
+            return Ok(first); // inside and outside differ
         }
         let two_sided = self.builder.material(name, Model::TwoSided { front: first, back: first });
         if amount == 0.0 {
@@ -214,6 +285,11 @@ impl Loader {
         let volume = &source["extensions"]["KHR_materials_volume"];
         let distance = volume["attenuationDistance"].as_f64().filter(|d| *d > 0.0 && d.is_finite())? as f32;
         volume["thicknessFactor"].as_f64().filter(|t| *t > 0.0)?;
+        let extensions = &source["extensions"];
+        let diffuse = extensions["KHR_materials_diffuse_transmission"]["diffuseTransmissionFactor"].as_f64();
+        if diffuse.is_some_and(|f| f > 0.0) || !extensions["KHR_materials_volume_scatter"].is_null() {
+            return None; // part of how light spreads
+        }
         let color = vector3(&volume["attenuationColor"], [1.0; 3]).clamp(Rgb::splat(1e-6), Rgb::ONE);
         let sigma_t = Rgb::from(color.to_array().map(|c| -c.ln() / distance));
         if sigma_t == Rgb::ZERO {

@@ -1,7 +1,7 @@
 //! glTF 2.0 and GLB: nodes, meshes, cameras and lights; the materials are beside this file.
 //!
 //! Read are the core, `KHR_lights_punctual`, `KHR_texture_transform`, `EXT_mesh_gpu_instancing`, and of materials emissive
-//! strength, transmission, index of refraction, volume, specular, clear coat, unlit and specular-glossiness. Other
+//! strength, transmission (diffuse, too), index of refraction, volume (with the draft of its scattering), specular, clear coat, unlit and specular-glossiness. Other
 //! extensions are left out with a warning, or refused where the file requires them. Photometric units are taken as they
 //! are, so pictures of such files count in candela and lux.
 //!
@@ -25,10 +25,11 @@ use translume_mesh::TriMesh;
 use translume_mesh::gltf::Asset;
 
 /// Extensions that are used, or that have nothing to do with pictures.
-const KNOWN: [&str; 15] = [
+const KNOWN: [&str; 17] = [
     "EXT_mesh_gpu_instancing",
     "KHR_lights_punctual",
     "KHR_materials_clearcoat",
+    "KHR_materials_diffuse_transmission",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
     "KHR_materials_pbrSpecularGlossiness",
@@ -37,6 +38,7 @@ const KNOWN: [&str; 15] = [
     "KHR_materials_unlit",
     "KHR_materials_variants",
     "KHR_materials_volume",
+    "KHR_materials_volume_scatter",
     "KHR_mesh_quantization",
     "KHR_node_visibility",
     "KHR_texture_transform",

@@ -2,6 +2,7 @@
 //!
 //! Coefficients are per unit of the scene, as in Mitsuba; published materials are per mm, so a scene in other units gives
 //! `scale`, the factor on all coefficients. For objects that were captured `scale` is mm per unit of the shape's own space.
+//! The words of OpenPBR's subsurface are known, too.
 
 use super::Loader;
 use super::object::Object;
@@ -99,7 +100,10 @@ impl Loader {
         let coefficients =
             [given(self, "sigma_s")?, given(self, "sigma_a")?, given(self, "sigma_t")?, given(self, "albedo")?];
         let [sigma_s, sigma_a, sigma_t, albedo] = coefficients;
-        let (reflectance, path) = (given(self, "reflectance")?, given(self, "mfp")?);
+        let (reflectance, path) = match given(self, "subsurface_color")? {
+            Some(color) => (Some(color), Some(self.openpbr_path(object)?)),
+            None => (given(self, "reflectance")?, given(self, "mfp")?),
+        };
         let named = object.text("material")?;
         let unknown = |name: &str| {
             place.invalid(format!("the translucent material {name:?} is not known; give sigma_s and sigma_a"))
@@ -129,6 +133,19 @@ impl Loader {
         };
         let sound = || place.invalid(format!("the coefficients of {} are no scattering material", object.title()));
         Ok((Arc::new(made.ok_or_else(sound)?), eta))
+    }
+
+    /// The mean free path in OpenPBR's words: `subsurface_radius` times `subsurface_radius_scale`. Scattering forwards lengthens the way
+    /// until the direction is lost; `subsurface_color` is what comes back whatever the phase function.
+    fn openpbr_path(&mut self, object: &Object) -> Result<Rgb> {
+        let radius = object.positive("subsurface_radius", 1.0)? as f32;
+        let scale = self.given_color(object, "subsurface_radius_scale", FACTOR)?.unwrap_or(Rgb::new(1.0, 0.5, 0.25));
+        let anisotropy = object.number("subsurface_scatter_anisotropy")?.unwrap_or(0.0) as f32;
+        if !(-1.0..1.0).contains(&anisotropy) || scale.min_element() <= 0.0 || !scale.is_finite() {
+            let what = "\"subsurface_scatter_anisotropy\" lies between −1 and 1, \"subsurface_radius_scale\" above 0";
+            return Err(object.place.invalid(what));
+        }
+        Ok(radius * scale / (1.0 - anisotropy))
     }
 }
 

@@ -10,7 +10,9 @@ use translume_scatter::capture::Capture;
 use translume_scatter::planar::{
     MODEL_VERSION, ModelHead, PlanarCapture, PlanarParams, estimate_gains, fit_planar, save_model,
 };
-use translume_scatter::vertex::{MeshCapture, VertexHead, VertexParams, fit_vertices, save_vertex_model};
+use translume_scatter::vertex::{
+    self, FrameGain, MeshCapture, VertexHead, VertexParams, fit_vertices, save_vertex_model,
+};
 use translume_scatter::{Error, MAX_TERMS, Model, Params, SampleFile, Sink, fit_file};
 
 const EXAMPLES: &str = "\
@@ -86,7 +88,7 @@ pub(super) struct Args {
     /// Captures: one fall-off for all colours, with a factor for each
     #[arg(long)]
     pub(super) shared: bool,
-    /// Flat samples: estimate the laser's power in each frame, by reciprocity between neighbouring positions
+    /// Captures: estimate the laser's power in each frame, by reciprocity between neighbouring positions
     #[arg(long)]
     pub(super) gains: bool,
     /// Captures: pixels above this multiple of the noise floor are samples
@@ -130,7 +132,14 @@ fn params(args: &Args) -> anyhow::Result<Option<Params>> {
     if args.free_scale && !matches!(model, Model::Dipole | Model::BetterDipole) {
         return Err(Usage("--free-scale: only the dipoles have a scale of their own".into()).into());
     }
-    Ok(Some(Params { model, terms: args.terms, segments: args.segments, eta: args.eta, free_scale: args.free_scale }))
+    Ok(Some(Params {
+        model,
+        terms: args.terms,
+        segments: args.segments,
+        eta: args.eta,
+        free_scale: args.free_scale,
+        most: None,
+    }))
 }
 
 fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {
@@ -195,11 +204,10 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
     }
     if args.gains {
         capture.gains = estimate_gains(&capture)?;
-        let all: Vec<f64> = capture.gains.iter().flatten().copied().collect();
-        let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(*g), h.max(*g)));
-        ctx.text(format!("power of the laser from {low:.3} to {high:.3} of what the rig says"))?;
+        tell_gains(capture.gains.iter().flatten(), ctx)?;
     }
-    let fit = Params { eta: capture.capture.rig.eta, ..fit };
+    // No more light comes back than came in.
+    let fit = Params { eta: capture.capture.rig.eta, most: Some(1.0), ..fit };
     let params = PlanarParams { fit, shared: args.shared, ..PlanarParams::default() };
     let bar = ctx.progress(capture.spots.len() as u64, "fitting");
     let model = fit_planar(&capture, &params, || bar.inc(1))?;
@@ -246,18 +254,23 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
 }
 
 fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow::Result<()> {
-    if args.shared || args.gains || args.segments != 1 {
-        let what = "--shared, --gains and --segments are for flat samples; objects have one fall-off for all colours and directions";
+    if args.shared || args.segments != 1 {
+        let what =
+            "--shared and --segments are for flat samples; objects have one fall-off for all colours and directions";
         return Err(Usage(what.into()).into());
     }
     let fit = Params { eta: opened.rig.eta, ..fit };
-    let mesh = MeshCapture::new(opened, args.threshold)?;
+    let mut mesh = MeshCapture::new(opened, args.threshold)?;
     if mesh.dark > 0 {
         ctx.warn(format!(
             "{}: {} laser positions have no whole set of frames and are left out",
             args.input.display(),
             mesh.dark
         ));
+    }
+    if args.gains {
+        mesh.gains = vertex::estimate_gains(&mesh)?;
+        tell_gains(mesh.gains.iter().flatten().flatten(), ctx)?;
     }
     let bar = ctx.progress(mesh.beams.len() as u64, "fitting");
     let params = VertexParams { fit, ..VertexParams::default() };
@@ -277,6 +290,7 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
         threshold: args.threshold,
         channels: mesh.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
         eta: mesh.capture.rig.eta,
+        gains: FrameGain::of(&mesh),
     };
     save_vertex_model(&args.output, &head, &model, &mesh)?;
     let vertices = model.vertices.len();
@@ -294,4 +308,18 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
         "output": args.output.to_string_lossy(), "vertices": vertices, "measured": measured, "empty": empty,
         "positions": mesh.beams.len(), "unstable": model.unstable, "faults": model.faults, "textured": textured,
     }))
+}
+
+fn tell_gains<'a>(gains: impl Iterator<Item = &'a f64>, ctx: &Context) -> anyhow::Result<()> {
+    let all: Vec<f64> = gains.copied().collect();
+    let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(*g), h.max(*g)));
+    ctx.text(format!("power of the laser from {low:.3} to {high:.3} of what the rig says"))?;
+    let alone = all.iter().filter(|g| **g == 1.0).count();
+    if alone > 0 {
+        ctx.warn(format!(
+            "the power in {alone} of {} frames cannot be told: no neighbouring position saw the same place",
+            all.len()
+        ));
+    }
+    Ok(())
 }

@@ -3,6 +3,7 @@
 mod fit;
 mod fit_hierarchical;
 mod plot;
+mod register;
 mod relight;
 mod report;
 mod report_hierarchical;
@@ -22,7 +23,7 @@ Examples:
     translume scatter fit capture/ --model exponential --segments 8 -o model/
     translume scatter report capture/ model/ -o report/";
 
-/// Measure subsurface scattering: capture, fit models, report their errors
+/// Measure subsurface scattering: capture, register, fit models, report their errors
 ///
 /// Lengths are millimetres, coefficients per millimetre.
 #[derive(Debug, clap::Args)]
@@ -36,6 +37,7 @@ pub(crate) struct Args {
 #[allow(clippy::large_enum_variant, reason = "one exists at a time")]
 enum Verb {
     Simulate(simulate::Args),
+    Register(register::Args),
     Fit(fit::Args),
     Relight(relight::Args),
     Report(report::Args),
@@ -44,6 +46,7 @@ enum Verb {
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     match args.verb {
         Verb::Simulate(args) => simulate::run(&args, ctx),
+        Verb::Register(args) => register::run(&args, ctx),
         Verb::Fit(args) => fit::run(&args, ctx),
         Verb::Relight(args) => relight::run(&args, ctx),
         Verb::Report(args) => report::run(&args, ctx),

@@ -8,7 +8,7 @@ use std::path::Path;
 use translume_scatter::capture::Capture;
 use translume_scatter::planar::ErrorMap;
 use translume_scatter::vertex::{
-    MeshCapture, VertexHead, VertexModel, VertexParams, error_map, fit_vertices, load_vertex_model,
+    FrameGain, MeshCapture, VertexHead, VertexModel, VertexParams, error_map, fit_vertices, load_vertex_model,
 };
 use translume_scatter::{Model, Params};
 
@@ -17,14 +17,15 @@ const RIVALS: [(&str, Model, usize); 2] =
     [("dipole for each vertex", Model::Dipole, 1), ("one exponential", Model::Exponential, 1)];
 
 pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) -> anyhow::Result<Told> {
-    let mesh = MeshCapture::new(opened, threshold)?;
+    let mut mesh = MeshCapture::new(opened, threshold)?;
     let (head, model) = load_vertex_model(&args.model, &mesh)?;
+    FrameGain::restore(&head.gains, &mut mesh);
     let bar = ctx.progress(RIVALS.len() as u64, "fitting");
     let mut rows = vec![Row { name: "this model".into(), errors: error_map(&mesh, &model)? }];
     let mut rivals = Vec::new();
     for (name, kind, terms) in RIVALS {
         let eta = mesh.capture.rig.eta;
-        let fit = Params { model: kind, segments: 1, terms, eta, free_scale: kind == Model::Dipole };
+        let fit = Params { model: kind, segments: 1, terms, eta, free_scale: kind == Model::Dipole, most: None };
         let rival = fit_vertices(&mesh, &VertexParams { fit, ..VertexParams::default() }, || ())?;
         rows.push(Row { name: name.into(), errors: error_map(&mesh, &rival)? });
         rivals.push(rival);

@@ -37,6 +37,7 @@ pub(super) fn tell(args: &Args, opened: Capture, threshold: f64, ctx: &Context) 
             terms: head.terms,
             eta: capture.capture.rig.eta,
             free_scale: kind == Model::Dipole,
+            most: Some(1.0),
         };
         let rival = fit_planar(&capture, &PlanarParams { fit, shared, ..PlanarParams::default() }, || ())?;
         rows.push(Row { name: name.into(), errors: error_map(&capture, &rival)? });
@@ -122,16 +123,22 @@ fn pictures(
     first.push(figure(folder, "texture.png", "modulation, white is 2", (width, height), texture)?);
     let [columns, lines] = capture.capture.rig.laser.grid;
     let mut second = Vec::new();
+    // One scale for all maps, on which the worst point of the first is not white yet.
+    let worst = rows
+        .iter()
+        .find(|r| r.name == "dipole")
+        .map_or(0.0, |r| r.errors.ln.iter().map(|l| l[channel]).fold(0.0, f64::max));
+    let white = ((10.0 * worst).ceil() / 10.0).max(0.2);
     for name in ["dipole", "isotropic", "4 directions", "8 directions"] {
         let Some(row) = rows.iter().find(|r| r.name == name) else { continue };
         let mut map = vec![0.0; columns * lines];
         for (spot, ln) in capture.spots.iter().zip(&row.errors.ln) {
             if let Some(cell) = map.get_mut(spot.frame[1]) {
-                *cell = (ln[channel] / 0.7) as f32;
+                *cell = (ln[channel] / white) as f32;
             }
         }
         let file = format!("errors-{}.png", name.replace(' ', "-"));
-        let caption = format!("{name}: ln E of each lit point, white is 0.7");
+        let caption = format!("{name}: ln E of each lit point, white is {white:.1}");
         second.push(figure(folder, &file, &caption, (columns, lines), map.into_iter())?);
     }
     Ok(vec![first, second])

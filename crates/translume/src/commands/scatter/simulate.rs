@@ -23,7 +23,10 @@ Examples:
     translume scatter simulate marble --mesh bunny.ply --mesh-size 30 --spacing 3 -o bunny-capture/
 
   A measured density of albedo 0.98, 0.95, 0.9 in the mesh; extinction 4 per mm where the grid is 1:
-    translume scatter simulate grid --grid smoke.vol --extinction 4 --albedo 0.98,0.95,0.9 --mesh bunny.ply -o smoke/";
+    translume scatter simulate grid --grid smoke.vol --extinction 4 --albedo 0.98,0.95,0.9 --mesh bunny.ply -o smoke/
+
+  The same smoke as cloudiness of a body that scatters everywhere:
+    translume scatter simulate grid --grid smoke.vol --base 1 --extinction 6 --mesh bunny.ply -o cloudy/";
 
 /// Capture a slab or a closed mesh of a heterogeneous medium with a virtual laser and camera
 ///
@@ -51,6 +54,9 @@ pub(super) struct Args {
     /// Extinction per mm where the grid is 1
     #[arg(long, value_name = "PER_MM", default_value_t = 2.0)]
     extinction: f64,
+    /// Extinction per mm where the grid is 0: smoke in something solid instead of in nothing
+    #[arg(long, value_name = "PER_MM", default_value_t = 0.0)]
+    base: f64,
     /// Albedo of the grid's medium in red, green and blue
     #[arg(long, value_name = "R,G,B", value_delimiter = ',', default_values_t = [0.99, 0.98, 0.96])]
     albedo: Vec<f64>,
@@ -300,7 +306,13 @@ fn grid(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Contex
     if !albedo.iter().all(|a| *a > 0.0 && *a <= 1.0) || !(1e-6..=1e3).contains(&args.extinction) {
         return Err(Usage("--albedo lies in (0, 1], --extinction in 0.000001 to 1000".into()).into());
     }
+    if !(0.0..=1e3).contains(&args.base) {
+        return Err(Usage("--base lies in 0 to 1000".into()).into());
+    }
     let (grid, _) = translume_scene::read_grid(file)?;
+    if grid.values.iter().all(|v| *v <= 0.0) {
+        return Err(anyhow!("{}: no density: all its values are 0", file.display()));
+    }
     if grid.channels > 1 {
         ctx.warn(format!("{}: of its {} channels the first is the density", file.display(), grid.channels));
     }
@@ -316,8 +328,9 @@ fn grid(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Contex
     Ok(Medium::block(low, size, cell, |p| {
         let at = |i: usize| (((p[i] - low[i]) / extent[i] * grid.size[i] as f64) as usize).min(grid.size[i] - 1);
         let index = (at(2) * grid.size[1] + at(1)) * grid.size[0] + at(0);
-        // Scattering is grey here: each channel keeps its albedo by its absorption.
-        let sigma_s = scattering * args.extinction * f64::from(grid.values[index * grid.channels]);
+        // Scattering is grey here: each channel keeps its albedo by its absorption. Values above 1 may take base below 0.
+        let density = f64::from(grid.values[index * grid.channels]);
+        let sigma_s = scattering * (args.base + (args.extinction - args.base) * density).max(0.0);
         Local { sigma_s: sigma_s as f32, sigma_a: albedo.map(|a| (sigma_s * (1.0 / a - 1.0)) as f32), g: 0.0 }
     }))
 }
