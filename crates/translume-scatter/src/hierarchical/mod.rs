@@ -27,6 +27,7 @@ mod grid;
 mod kernel;
 mod model;
 mod pairs;
+mod refine;
 mod relax;
 mod resample;
 mod split;

@@ -4,6 +4,7 @@ use super::atlas::{Atlas, AtlasParams};
 use super::complete::{Completion, Solver, complete};
 use super::detail::detail;
 use super::pairs::Throughput;
+use super::refine::{corrected, modulation};
 use super::resample::resample;
 use super::split::{Records, flatten, kernels};
 use super::stage::{Losses, Stage};
@@ -79,7 +80,15 @@ pub fn fit_hierarchical(
     let (mut throughput, completion) =
         complete(&mesh, measured, params.solver, || progress(Step::Completed)).ok_or_else(nothing)?;
     flatten(&mut throughput, &mesh, &stage.atlas);
-    let (detail, detail_weight) = detail(&stage, &throughput, || progress(Step::Detailed))?;
+    let plain = vec![[1.0; 3]; stage.atlas.texels.len()];
+    let rounds: usize = std::env::var("ROUNDS").map_or(3, |r| r.parse().unwrap());
+    for _ in 0..rounds {
+        let measured = corrected(&stage, &throughput, &plain, || progress(Step::Detailed))?;
+        throughput = complete(&mesh, measured, params.solver, || ()).ok_or_else(nothing)?.0;
+        if std::env::var("FLAT").is_ok() { flatten(&mut throughput, &mesh, &stage.atlas); }
+    }
+    let (detail, detail_weight) = match std::env::var("OLDT").is_ok() { true => detail(&stage, &throughput, || progress(Step::Detailed))?,
+        false => modulation(&stage, &throughput, std::env::var("FAR").map_or(0.0, |r| r.parse().unwrap()), || progress(Step::Detailed))? };
     let measured_kernels = candidates.measured();
     let no_kernel = || Error::invalid(&stage.capture.path, "no laser spot is seen well enough for a local kernel");
     let records = Records::fill(&stage.atlas, &candidates.0).ok_or_else(no_kernel)?;

@@ -12,6 +12,9 @@ use std::f32::consts::{PI, TAU};
 use std::path::Path;
 use translume_bxdf::fresnel;
 use translume_core::distribution::Piecewise2d;
+use translume_core::frame::Frame;
+use translume_core::rng::Pcg32;
+use translume_core::warp;
 use translume_image::{Picture, Result, read_picture};
 
 /// Lights, ready to shine.
@@ -92,6 +95,28 @@ impl Sources {
     /// Moves the first light that has a place; what an interactive user does.
     pub fn move_first(&mut self, to: Vec3) {
         self.places.iter_mut().take(1).for_each(|p| p.at = to);
+    }
+
+    /// A ray towards the ball around `center`, by uniform chance, and the power that it stands for; `None` without any light.
+    pub(crate) fn emit(&self, center: Vec3, radius: f32, rng: &mut Pcg32) -> Option<(Vec3, Vec3, Vec3)> {
+        let count = self.places.len() + self.directions.len();
+        let index = ((rng.next_f32() * count as f32) as usize).min(count.checked_sub(1)?);
+        let u = [rng.next_f32(), rng.next_f32()];
+        let Some(place) = self.places.get(index) else {
+            let (direction, light) = self.directions[index - self.places.len()];
+            let disc = radius * warp::uniform_disk(u[0], u[1]);
+            let frame = Frame::from_normal(direction);
+            let origin = center + frame.to_world(disc.extend(0.0)) + 4.0 * radius * direction;
+            return Some((origin, -direction, light * (count as f32 * PI * radius * radius)));
+        };
+        let to = center - place.at;
+        // From within the ball into all directions.
+        let least = if to.length() > radius { (1.0 - (radius / to.length()).powi(2)).sqrt() } else { -1.0 };
+        let cos = 1.0 - u[0] * (1.0 - least);
+        let (sin, angle) = ((1.0 - cos * cos).max(0.0).sqrt(), TAU * u[1]);
+        let direction =
+            Frame::from_normal(to.normalize_or_zero()).to_world(Vec3::new(sin * angle.cos(), sin * angle.sin(), cos));
+        Some((place.at, direction, place.shape.towards(direction) * (count as f32 * TAU * (1.0 - least))))
     }
 
     /// Power at all texels and vertices.

@@ -18,6 +18,7 @@ mod lights;
 mod predict;
 mod vertex;
 
+pub(crate) use evaluate::sight_samples;
 pub use evaluate::{Part, Relighter};
 pub use irradiance::{Power, Sources};
 pub use lights::{Light, Lighting, Sight};

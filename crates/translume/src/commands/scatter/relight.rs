@@ -1,12 +1,11 @@
 //! `translume scatter relight`: models of objects under new light.
 
-use crate::cli::Usage;
 use crate::output::Context;
 use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use translume_image::{Error, ExrOptions, Precision, atomic, write_exr_channels, write_png8};
+use translume_image::Error;
 use translume_scatter::capture::Surface;
 use translume_scatter::hierarchical::{HIERARCHICAL_FORMAT, Hierarchical, load_hierarchical};
 use translume_scatter::relight::{Lighting, Part, Relighter, Sources, from_vertex_model};
@@ -54,11 +53,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    let extension = args.output.extension().map(|e| e.to_string_lossy().to_lowercase());
-    if !matches!(extension.as_deref(), Some("exr" | "png")) {
-        return Err(Usage(format!("{}: pictures are written as .exr or .png", args.output.display())).into());
-    }
-    atomic::check_writable(&args.output)?;
+    super::picture::check(&args.output)?;
     let lighting = Lighting::read(&args.lights)?;
     let sources = Sources::new(&lighting.lights, args.lights.parent().unwrap_or(Path::new("")))?;
     let model = load(&args.model)?;
@@ -77,7 +72,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
         picture = relighter.picture(&power, part);
     }
     let seconds = begin.elapsed().as_secs_f64() / f64::from(args.frames);
-    write(args, relighter.size, &picture, ctx)?;
+    super::picture::write(&args.output, relighter.size, &picture, ctx)?;
     if args.frames > 1 {
         ctx.text(format!("{:.1} pictures per second", 1.0 / seconds))?;
     }
@@ -85,28 +80,6 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
         "output": args.output.to_string_lossy(), "width": relighter.size.0, "height": relighter.size.1,
         "vertices": model.mesh.positions.len(), "kernels": model.atlas.texels.len(), "seconds_per_frame": seconds,
     }))
-}
-
-fn write(args: &Args, size: (usize, usize), picture: &[[f32; 3]], ctx: &Context) -> anyhow::Result<()> {
-    if args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
-        // The brightest but for one in a hundred pixels is white.
-        let mut levels: Vec<f32> = picture.iter().flatten().copied().filter(|v| *v > 0.0).collect();
-        levels.sort_by(f32::total_cmp);
-        let white = levels.get(levels.len() * 99 / 100).copied().unwrap_or(1.0);
-        let code =
-            |v: &f32| (translume_image::colour::linear_to_srgb((v / white).clamp(0.0, 1.0)) * 255.0).round() as u8;
-        return Ok(write_png8(&args.output, size, &picture.iter().flatten().map(code).collect::<Vec<_>>())?);
-    }
-    let plane = |c: usize| picture.iter().map(|p| p[c]).collect::<Vec<f32>>();
-    let planes = [plane(0), plane(1), plane(2)];
-    let channels: Vec<(&str, &[f32])> = ["R", "G", "B"].into_iter().zip(planes.iter().map(Vec::as_slice)).collect();
-    let options = ExrOptions {
-        precision: Precision::Float,
-        software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
-        command: Some(ctx.command_line.clone()),
-        ..ExrOptions::default()
-    };
-    Ok(write_exr_channels(&args.output, size, &channels, &options)?)
 }
 
 /// A model of either kind.
