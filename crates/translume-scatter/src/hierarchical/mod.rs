@@ -10,7 +10,8 @@
 //! | `stage`, `views` | what stands still while frames go by |
 //! | `resample`, `pairs` | frames to measurements between vertices |
 //! | `relax`, `trend`, `complete` | filling F |
-//! | `kernel`, `split` | kernels, filled and less F |
+//! | `refine` | F corrected by what it leaves of the measurements |
+//! | `kernel`, `local`, `split` | kernels: of single spots, of all of them, less F |
 //! | `detail` | T |
 //! | `model`, `file` | all of it |
 //!
@@ -25,6 +26,7 @@ mod detail;
 mod file;
 mod grid;
 mod kernel;
+mod local;
 mod model;
 mod pairs;
 mod refine;

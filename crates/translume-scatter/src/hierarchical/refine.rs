@@ -6,14 +6,13 @@
 //! says about them, F_kr ← F_kr Σ a m/p / Σ a over all measurements m with prediction p that the pair has a share a in: the iteration of Richardson
 //! and Lucy, which finds the likeliest F under photon noise, converges from any positive start and needs no logarithm of dark samples. Each
 //! round's F goes through the completion again, so what was not measured follows. Measurements that a kernel covers do not count here: there K
-//! has the rest. T is found in the same way, after F.
+//! has the rest.
 
-use super::atlas::Atlas;
+use super::atlas::{Atlas, RADIUS};
 use super::colour::Colours;
 use super::pairs::{Measured, Throughput};
 use super::resample::Exposure;
 use super::stage::{Beam, Stage};
-use super::atlas::RADIUS;
 use rayon::prelude::*;
 use translume_image::Result;
 
@@ -25,10 +24,10 @@ const LEAST: f32 = 0.05;
 const PRIOR: f32 = 0.02;
 
 /// Predicted and measured light of one beam at the texels that no kernel covers: texel, prediction, measurement, weight.
-type Sample = (u32, [f32; 3], [f32; 3], f32);
+pub(super) type Sample = (u32, [f32; 3], [f32; 3], f32);
 
-/// What F and T say about the exposure of a beam, beside the measurements.
-fn samples(stage: &Stage, beam: usize, f: &Throughput, detail: &[[f32; 3]], colours: &Colours) -> Result<Vec<Sample>> {
+/// What F says about the exposure of a beam, beside the measurements.
+pub(super) fn samples(stage: &Stage, beam: usize, f: &Throughput, colours: &Colours) -> Result<Vec<Sample>> {
     let Ok((exposure, _)) = Exposure::read(stage, beam, colours)? else { return Ok(Vec::new()) };
     let beam = &stage.beams[beam];
     let mut global = vec![[0.0f32; 3]; f.vertices];
@@ -47,7 +46,7 @@ fn samples(stage: &Stage, beam: usize, f: &Throughput, detail: &[[f32; 3]], colo
         let [u, v] = texel.uv;
         let mut expected = [0.0f32; 3];
         for (&r, w) in stage.corners(texel.face).iter().zip([1.0 - u - v, u, v]) {
-            (0..3).for_each(|c| expected[c] += w * detail[t][c] * global[r as usize][c]);
+            (0..3).for_each(|c| expected[c] += w * global[r as usize][c]);
         }
         expected.iter().all(|e| *e > 0.0).then_some((t as u32, expected, rgb, weight))
     };
@@ -58,7 +57,8 @@ fn samples(stage: &Stage, beam: usize, f: &Throughput, detail: &[[f32; 3]], colo
 pub(super) fn covered(atlas: &Atlas, beam: &Beam) -> Vec<u32> {
     let lit = atlas.between(beam.face, beam.uv).into_iter().filter(|l| l.1 > 0.0);
     let around = |(t, _): (u32, f32)| {
-        (-RADIUS..=RADIUS).flat_map(move |dy| (-RADIUS..=RADIUS).filter_map(move |dx| atlas.neighbour(t as usize, dx, dy)))
+        (-RADIUS..=RADIUS)
+            .flat_map(move |dy| (-RADIUS..=RADIUS).filter_map(move |dx| atlas.neighbour(t as usize, dx, dy)))
     };
     let mut all: Vec<u32> = lit.flat_map(around).map(|t| t as u32).collect();
     all.sort_unstable();
@@ -67,7 +67,7 @@ pub(super) fn covered(atlas: &Atlas, beam: &Beam) -> Vec<u32> {
 }
 
 /// Runs `one` for all beams in parallel and `add` in their order.
-fn for_beams<T: Send>(
+pub(super) fn for_beams<T: Send>(
     stage: &Stage,
     one: impl Fn(usize) -> Result<T> + Sync,
     mut add: impl FnMut(usize, T),
@@ -84,18 +84,13 @@ fn for_beams<T: Send>(
 ///
 /// # Errors
 /// Those of reading frames.
-pub(super) fn corrected(
-    stage: &Stage,
-    f: &Throughput,
-    detail: &[[f32; 3]],
-    progress: impl Fn() + Sync,
-) -> Result<Measured> {
+pub(super) fn corrected(stage: &Stage, f: &Throughput, progress: impl Fn() + Sync) -> Result<Measured> {
     let colours = Colours::new();
     let mut measured = Measured::new(f.vertices);
     // For each vertex that is seen, the ratio of its surroundings and their weight.
     let one = |beam: usize| -> Result<Vec<(u32, [f32; 3], f32)>> {
         let mut sums = vec![[0.0f32; 4]; f.vertices];
-        for (t, expected, rgb, weight) in samples(stage, beam, f, detail, &colours)? {
+        for (t, expected, rgb, weight) in samples(stage, beam, f, &colours)? {
             let texel = &stage.atlas.texels[t as usize];
             let [u, v] = texel.uv;
             for (&r, w) in stage.corners(texel.face).iter().zip([1.0 - u - v, u, v]) {
@@ -105,7 +100,8 @@ pub(super) fn corrected(
             }
         }
         progress();
-        let ratio = |(r, s): (usize, &[f32; 4])| (s[3] > LEAST).then(|| (r as u32, [0, 1, 2].map(|c| s[c] / s[3]), s[3]));
+        let ratio =
+            |(r, s): (usize, &[f32; 4])| (s[3] > LEAST).then(|| (r as u32, [0, 1, 2].map(|c| s[c] / s[3]), s[3]));
         Ok(sums.iter().enumerate().filter_map(ratio).collect())
     };
     for_beams(stage, one, |beam, seen| {
@@ -120,43 +116,4 @@ pub(super) fn corrected(
     })?;
     measured.draw_to(f, PRIOR);
     Ok(measured)
-}
-
-/// T of each texel and the weight behind it.
-///
-/// # Errors
-/// Those of reading frames.
-pub(super) fn modulation(
-    stage: &Stage,
-    f: &Throughput,
-    far: f32,
-    progress: impl Fn() + Sync,
-) -> Result<(Vec<[f32; 3]>, Vec<f32>)> {
-    let colours = Colours::new();
-    let mut detail = vec![[1.0f32; 3]; stage.atlas.texels.len()];
-    let mut sums = vec![[0.0f32; 7]; detail.len()];
-    let one = |beam: usize| {
-        let at = stage.beams[beam].at;
-        let mut all = samples(stage, beam, f, &detail, &colours)?;
-        all.retain(|s| stage.atlas.texels[s.0 as usize].at.distance(at) >= far);
-        progress();
-        Ok(all)
-    };
-    for_beams(stage, one, |_, told| {
-        for (t, expected, rgb, weight) in told {
-            let sum = &mut sums[t as usize];
-            for c in 0..3 {
-                let a = weight / expected[c].sqrt();
-                sum[c] += a * rgb[c];
-                sum[3 + c] += a * expected[c];
-            }
-            sum[6] += weight;
-        }
-    })?;
-    for (d, s) in detail.iter_mut().zip(&sums) {
-        if s[6] > 0.0 {
-            *d = [0, 1, 2].map(|c| (s[c] / s[3 + c]).clamp(0.125, 8.0));
-        }
-    }
-    Ok((detail, sums.iter().map(|s| s[6]).collect()))
 }

@@ -36,4 +36,3 @@ pub(super) fn write(output: &Path, size: (usize, usize), picture: &[[f32; 3]], c
     };
     Ok(write_exr_channels(output, size, &channels, &options)?)
 }
-
