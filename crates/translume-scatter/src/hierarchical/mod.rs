@@ -13,6 +13,7 @@
 //! | `refine` | F corrected by what it leaves of the measurements |
 //! | `kernel`, `local`, `split` | kernels: of single spots, of all of them, less F |
 //! | `detail` | T |
+//! | `value` | R_d between two places |
 //! | `model`, `file` | all of it |
 //!
 //! Not modelled: highlights, single scattering's directions, light that leaves and enters again (where it was measured, it is in F).
@@ -35,6 +36,7 @@ mod resample;
 mod split;
 mod stage;
 mod trend;
+mod value;
 mod views;
 
 #[cfg(test)]
