@@ -130,8 +130,14 @@ def medium_rows(medium, options, work):
     object_of = ["scatter", "simulate", medium, "--mesh", at("blob.obj")]
     capture = once(at(medium), lambda p: translume(*object_of, "--spacing", 1.2, "--pixels", 96, "--photons", options.photons, "--evenness", 0.5, "--views", 5, "--cameras", 2,
                                                    "--beam", 1, "--save-medium", at(medium), "-o", p))
-    told = {m: translume("scatter", "fit", capture, *arguments, "-o", at(medium, m.replace(" ", "_"))) for m, arguments in MODELS.items()}
+    told = {}
+    for model, arguments in MODELS.items():
+        folder = at(medium, model.replace(" ", "_"))
+        fit = lambda p: json.dump(translume("scatter", "fit", capture, *arguments, "-o", folder), open(p, "w"))
+        told[model] = json.load(open(once(folder + ".json", fit)))
     chosen = min(UNIFORM, key=lambda m: told[m]["held_out_error"])
+    with open(os.path.join(capture, "rig.json")) as rig:
+        photons = json.load(rig)["provenance"]["parameters"]["photons"]
     rows, strip = [], []
     for name, (eye, light) in LIGHTS.items():
         lights = at(name + ".json")
@@ -155,7 +161,7 @@ def medium_rows(medium, options, work):
             pictures[model] = read(out)
             shown(pictures[model], white, at("test.png"))
             display = translume("compare", at("truth.png"), at("test.png"))
-            row = {"medium": medium, "light": name, "model": model, "chosen": model == chosen, "flip": display["flip_mean"], "ciede2000": display["delta_e_mean"]}
+            row = {"medium": medium, "photons": photons, "light": name, "model": model, "chosen": model == chosen, "flip": display["flip_mean"], "ciede2000": display["delta_e_mean"]}
             row.update({kind: error(pictures[model], pair) for kind, pair in truths.items()})
             rows.append(row)
         tone = lambda a: np.clip(a * 0.9 / white, 0, 1) ** (1 / 2.2)
@@ -170,7 +176,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--media", nargs="*", default=["marble", "apple", "sponge", "wax", "stone"])
     parser.add_argument("--photons", type=int, default=1500, help="of each laser position")
-    parser.add_argument("--truth", type=int, default=1_500_000, help="photons of each of two pictures of the truth")
+    parser.add_argument("--truth", type=int, default=500_000, help="photons of each of two pictures of the truth")
     parser.add_argument("--volpath", type=int, default=0, help="samples of a pixel in each of two pictures by volpath")
     parser.add_argument("--volpath-media", nargs="*", default=["marble"])
     parser.add_argument("--work", help="keeps captures, models and pictures here, and uses those that are there")
@@ -189,12 +195,13 @@ def main():
 
 def write(rows, pictures, options):
     with open(os.path.join(RESULTS, "scatter-relit.csv"), "w", newline="") as out:
-        table = csv.DictWriter(out, ["medium", "light", "model", "chosen", "walk", "volpath", "flip", "ciede2000"], lineterminator="\n")
+        table = csv.DictWriter(out, ["medium", "photons", "light", "model", "chosen", "walk", "volpath", "flip", "ciede2000"], lineterminator="\n")
         table.writeheader()
         table.writerows({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in r.items()} for r in rows)
+    photons = ", ".join(f"{m} {n}" for m, n in dict((r["medium"], r["photons"]) for r in rows).items())
     lines = ["# Objects under light that was never captured", "",
              "Relative RMSE per pixel against a random walk from the lights, its noise taken out; mean FLIP and CIEDE2000 in brackets, of pictures as displayed. An object of",
-             f"24 mm with 1002 vertices, index of refraction 1.5, 927 laser positions of {options.photons} photons each. The dipoles and normalised diffusion are one fall-off for",
+             f"24 mm with 1002 vertices, index of refraction 1.5, 927 laser positions of some thousand photons each ({photons}). The dipoles and normalised diffusion are one fall-off for",
              "each colour with an albedo by place, all fitted to the same capture; of these, bold is the one that the pixels held out choose. The last",
              "columns are the errors of the bold one and of the one that is best in hindsight, over the hierarchical model's. Made by",
              "`benches/scatter/relit.sh`; all figures are in [scatter-relit.csv](scatter-relit.csv).", "",
