@@ -61,6 +61,7 @@ fn head(model: &Hierarchical) -> HierarchicalHead {
         side: model.atlas.side,
         texel_mm: model.atlas.texel_mm,
         texels: model.atlas.texels.len(),
+        kernel_error: None,
         measured_kernels: 0,
         never_lit: 0,
         never_seen: 0,

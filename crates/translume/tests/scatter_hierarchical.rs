@@ -40,6 +40,14 @@ fn ball(path: &Path) {
 const LIGHTS: &str = r#"{"view": {"eye": [0, -40, 10], "target": [0, 0, 0], "fov_deg": 14, "width": 40, "height": 30},
     "lights": [{"type": "point", "position": [20, -20, 20], "intensity": [100, 90, 80]}]}"#;
 
+const SCENE: &str = r#"<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"><float name="fov" value="14"/>
+    <string name="fov_axis" value="x"/><transform name="to_world"><lookat origin="0,-40,10" target="0,0,0" up="0,0,1"/></transform>
+    <sampler type="independent"><integer name="sample_count" value="64"/></sampler>
+    <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="30"/><rfilter type="box"/></film></sensor>
+    <shape type="ply"><string name="filename" value="m/mesh.ply"/><boolean name="face_normals" value="true"/>
+    <bsdf type="subsurface"><string name="filename" value="m"/><float name="specular_reflectance" value="0"/></bsdf></shape>
+    <emitter type="point"><point name="position" x="20" y="-20" z="20"/><rgb name="intensity" value="100 90 80"/></emitter></scene>"#;
+
 #[test]
 fn an_object_is_captured_fitted_relit_and_reported() {
     let dir = tempdir().unwrap();
@@ -74,9 +82,30 @@ fn an_object_is_captured_fitted_relit_and_reported() {
     json(dir, &["scatter", "fit", "c", "--model", "exponential", "--threshold", "0.01", "-o", "v"]);
     relight("v", &[]).ok();
 
+    // So is one fall-off for the whole, which has no parts.
+    let whole = json(dir, &["scatter", "fit", "c", "--model", "dipole", "--uniform", "--threshold", "0", "-o", "u"]);
+    assert!((0.0..0.5).contains(&whole["held_out_error"].as_f64().unwrap()), "{whole}");
+    relight("u", &[]).ok();
+    assert!(relight("u", &["--part", "local"]).error(2).contains("hierarchical"));
+    let error = translume(dir, &["scatter", "fit", "c", "--model", "hierarchical", "--uniform", "-o", "n"]).error(2);
+    assert!(error.contains("--uniform"), "{error}");
+    // The truth is as bright as the model, and so is a render of the model: 1 % of noise, 5 % of few photons behind the model.
+    fs::write(dir.join("lights.json"), LIGHTS).unwrap();
+    let truth = ["--lights", "lights.json", "--eta", "1", "--photons", "40000", "-o", "truth.exr"];
+    translume(dir, &[&["scatter", "simulate", "stone", "--mesh", "ball.obj"][..], &truth].concat()).ok();
+    translume(dir, &["scatter", "relight", "m", "--lights", "lights.json", "-o", "relit.exr"]).ok();
+    fs::write(dir.join("scene.xml"), SCENE).unwrap();
+    translume(dir, &["render", "scene.xml", "-o", "rendered.exr"]).ok();
+    let [truth, relit, rendered] = ["truth", "relit", "rendered"].map(|name| {
+        let picture = translume_image::read_picture(&dir.join(format!("{name}.exr"))).unwrap();
+        picture.pixels.as_raw().iter().map(|v| f64::from(*v)).sum::<f64>()
+    });
+    assert!((relit / truth - 1.0).abs() < 0.15 && (rendered / relit - 1.0).abs() < 0.05, "{truth} {relit} {rendered}");
+
     let told = json(dir, &["scatter", "report", "c", "m", "-o", "r"]);
     let green = |i: usize| told["models"][i]["ln_e"][1].as_f64().unwrap();
     assert!(green(0) < green(2), "kernels must help: {told}");
+    assert!(green(3).is_finite() && green(3) > green(0), "positions held out: {told}");
     for picture in ["local.png", "global.png", "combined.png", "measured.png"] {
         assert!(dir.join("r").join(picture).exists(), "{picture}");
     }
@@ -109,7 +138,7 @@ fn an_object_is_captured_fitted_relit_and_reported() {
     fs::write(&chunk, whole).unwrap();
     let path = dir.join("m/model.json");
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replace("\"version\": \"1.0\"", "\"version\": \"7.0\"")).unwrap();
+    fs::write(&path, text.replace("\"version\": \"1.1\"", "\"version\": \"7.0\"")).unwrap();
     assert!(relight("m", &[]).error(1).contains("version 7.0"));
 }
 

@@ -174,6 +174,12 @@ impl Atlas {
         inside.then(|| self.grid[(y * side + x) as usize]).filter(|&t| t != NONE).map(|t| t as usize)
     }
 
+    /// The texel that a place of the surface lies in.
+    pub(super) fn texel(&self, face: u32, uv: [f32; 2]) -> Option<usize> {
+        let p = self.flat(face, uv);
+        self.at(p.x.floor() as i32, p.y.floor() as i32)
+    }
+
     /// The texel at a place of the atlas, if a chart covers it there.
     #[inline]
     pub(super) fn own(&self, x: i32, y: i32) -> Option<usize> {

@@ -12,7 +12,7 @@ use translume_image::{Error, Result};
 use translume_mesh::{ReadOptions, ply};
 
 /// Version of the format; a reader refuses another major one.
-pub const HIERARCHICAL_VERSION: &str = "1.0";
+pub const HIERARCHICAL_VERSION: &str = "1.1";
 /// What `model.json` calls it.
 pub const HIERARCHICAL_FORMAT: &str = "translume hierarchical model";
 /// Rows and columns of a block of F.
@@ -44,6 +44,9 @@ pub struct HierarchicalHead {
     pub texels: usize,
     /// Those with a measured kernel.
     pub measured_kernels: usize,
+    /// Relative error (RMS) of the light around spots held out, predicted by the kernels of the others; since 1.1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kernel_error: Option<f64>,
     /// Vertices that no beam hit; what is known of them comes from what they send out under light elsewhere, and from neighbours.
     pub never_lit: usize,
     /// Vertices of which nothing was measured.
@@ -65,6 +68,7 @@ impl HierarchicalHead {
             texel_mm: model.atlas.texel_mm,
             texels: model.atlas.texels.len(),
             measured_kernels: told.measured_kernels,
+            kernel_error: told.kernel_error.is_finite().then_some(told.kernel_error),
             never_lit: told.completion.never_lit,
             never_seen: told.completion.never_seen,
             measured: told.completion.measured,

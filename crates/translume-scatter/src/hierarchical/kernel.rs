@@ -28,6 +28,8 @@ pub(super) const RECORD: usize = 3 * (KNOTS.len() + CELLS);
 #[derive(Clone, Debug)]
 pub(super) struct Candidate {
     pub(super) texel: u32,
+    /// The laser position that it was measured with.
+    pub(super) beam: u32,
     /// Distance from the peak to the texel's centre, in texels.
     pub(super) offset: f32,
     pub(super) record: Vec<f32>,
@@ -46,7 +48,7 @@ pub(super) fn measure_kernels(
     beam: usize,
     sample: impl Fn(usize) -> Option<([f32; 3], f32)>,
 ) -> Vec<Candidate> {
-    let (beam, atlas) = (&stage.beams[beam], &stage.atlas);
+    let (index, beam, atlas) = (beam as u32, &stage.beams[beam], &stage.atlas);
     let peak = atlas.flat(beam.face, beam.uv) - 0.5;
     let base = peak.floor();
     if !base.is_finite() {
@@ -89,7 +91,7 @@ pub(super) fn measure_kernels(
             record.extend(cells().map(|(x, y)| ln_detail(dx + x, dy + y, c).unwrap_or(0.0)));
         });
         let seen = cells().filter(|(x, y)| ln_detail(dx + x, dy + y, 0).is_some()).count();
-        Some(Candidate { texel: texel as u32, offset, record, confidence: seen as f32 / CELLS as f32 })
+        Some(Candidate { texel: texel as u32, beam: index, offset, record, confidence: seen as f32 / CELLS as f32 })
     };
     (0..2).flat_map(|y| (0..2).map(move |x| (x, y))).filter_map(|(x, y)| shifted(x, y)).collect()
 }

@@ -10,8 +10,10 @@
 //! | `stage`, `views` | what stands still while frames go by |
 //! | `resample`, `pairs` | frames to measurements between vertices |
 //! | `relax`, `trend`, `complete` | filling F |
-//! | `kernel`, `split` | kernels, filled and less F |
+//! | `refine` | F corrected by what it leaves of the measurements |
+//! | `kernel`, `local`, `split` | kernels: of single spots, of all of them, less F |
 //! | `detail` | T |
+//! | `value` | R_d between two places |
 //! | `model`, `file` | all of it |
 //!
 //! Not modelled: highlights, single scattering's directions, light that leaves and enters again (where it was measured, it is in F).
@@ -25,13 +27,16 @@ mod detail;
 mod file;
 mod grid;
 mod kernel;
+mod local;
 mod model;
 mod pairs;
+mod refine;
 mod relax;
 mod resample;
 mod split;
 mod stage;
 mod trend;
+mod value;
 mod views;
 
 #[cfg(test)]

@@ -3,9 +3,11 @@
 use super::atlas::{Atlas, AtlasParams};
 use super::complete::{Completion, Solver, complete};
 use super::detail::detail;
+use super::local::{fitted, near};
 use super::pairs::Throughput;
+use super::refine::corrected;
 use super::resample::resample;
-use super::split::{Records, flatten, kernels};
+use super::split::{flatten, kernels};
 use super::stage::{Losses, Stage};
 use glam::Vec3;
 use half::f16;
@@ -34,10 +36,18 @@ pub struct Hierarchical {
 }
 
 /// How to make a model.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HierarchicalParams {
     /// How F is completed.
     pub solver: Solver,
+    /// Rounds in which F is corrected by what it leaves of the measurements; each reads all frames.
+    pub rounds: usize,
+}
+
+impl Default for HierarchicalParams {
+    fn default() -> Self {
+        Self { solver: Solver::default(), rounds: 3 }
+    }
 }
 
 /// Where a fit is.
@@ -60,6 +70,8 @@ pub struct Told {
     pub completion: Completion,
     /// Texels with a measured kernel.
     pub measured_kernels: usize,
+    /// Relative error (RMS) of the light around spots held out, predicted by the kernels of the others.
+    pub kernel_error: f64,
 }
 
 /// Fits `stage`; `progress` is told of each step.
@@ -79,12 +91,17 @@ pub fn fit_hierarchical(
     let (mut throughput, completion) =
         complete(&mesh, measured, params.solver, || progress(Step::Completed)).ok_or_else(nothing)?;
     flatten(&mut throughput, &mesh, &stage.atlas);
+    for _ in 0..params.rounds {
+        let measured = corrected(&stage, &throughput, || progress(Step::Resampled))?;
+        throughput = complete(&mesh, measured, params.solver, || progress(Step::Completed)).ok_or_else(nothing)?.0;
+    }
     let (detail, detail_weight) = detail(&stage, &throughput, || progress(Step::Detailed))?;
     let measured_kernels = candidates.measured();
     let no_kernel = || Error::invalid(&stage.capture.path, "no laser spot is seen well enough for a local kernel");
-    let records = Records::fill(&stage.atlas, &candidates.0).ok_or_else(no_kernel)?;
+    let near = near(&stage, &mesh, &throughput, &detail)?;
+    let (records, kernel_error) = fitted(&stage, &candidates.0, &near).ok_or_else(no_kernel)?;
     let kernels = records.split(&mesh, &stage.atlas, &throughput, &detail);
-    let told = Told { losses: stage.losses, completion, measured_kernels };
+    let told = Told { losses: stage.losses, completion, measured_kernels, kernel_error };
     let model = Hierarchical {
         mesh,
         eta: stage.capture.rig.eta,

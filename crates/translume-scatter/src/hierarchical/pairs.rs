@@ -47,6 +47,13 @@ impl Measured {
         self.lit[vertex] += weight;
     }
 
+    /// Adds `f` itself to what was measured, with little weight: so no mean is 0.
+    pub(super) fn draw_to(&mut self, f: &Throughput, weight: f32) {
+        for (sum, ln) in self.sums.iter_mut().zip(&f.ln).filter(|s| s.0[3] > 0.0) {
+            (0..3).for_each(|c| sum[c] = (sum[c] + weight * ln[c].to_f32().exp()) * sum[3] / (sum[3] + weight));
+        }
+    }
+
     /// Takes back what was measured between two vertices: its mean, if there was any.
     pub fn withdraw(&mut self, a: usize, b: usize) -> Option<[f32; 3]> {
         let sum = std::mem::replace(&mut self.sums[pair(a, b)], [0.0; 4]);

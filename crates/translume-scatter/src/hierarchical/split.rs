@@ -60,12 +60,16 @@ pub(super) struct Records {
     triples: Vec<Vec<[f32; 3]>>,
     /// 0 where it comes from the neighbours.
     pub(super) confidence: Vec<u8>,
+    /// Added to the logarithm of the fall-offs at the knots.
+    radial: [[f32; KNOTS.len()]; 3],
+    /// Added to the logarithm of all of a texel.
+    gains: Vec<[f32; 3]>,
 }
 
 impl Records {
     /// Fills texels without kernel from their neighbours on the surface, fall-off and detail together [§7.2]. `None` if there is no
-    /// kernel at all.
-    pub(super) fn fill(atlas: &Atlas, kernels: &[Option<Candidate>]) -> Option<Self> {
+    /// kernel at all. `strength` is that of a kernel against its neighbours': single spots are noisy.
+    pub(super) fn fill(atlas: &Atlas, kernels: &[Option<Candidate>], strength: f32) -> Option<Self> {
         let measured: Vec<&Candidate> = kernels.iter().flatten().collect();
         if measured.is_empty() {
             return None;
@@ -78,18 +82,18 @@ impl Records {
                 [0, 1, 2].map(|i| s[i] + f64::from(v[i]))
             });
             let mean = sum.map(|s| (s / measured.len() as f64) as f32);
-            // Single spots are noisy: weak, so that neighbouring spots are averaged over about their spacing.
             let known = |c: &Option<Candidate>| {
                 c.as_ref().map_or([0.0; 4], |c| {
                     let [a, b, d] = of(c);
-                    [a, b, d, 0.3 * c.confidence]
+                    [a, b, d, strength * c.confidence]
                 })
             };
             let known: Vec<Known> = kernels.iter().map(known).collect();
             graph.fill(&known, mean, 40)
         };
         let confidence = kernels.iter().map(|k| k.as_ref().map_or(0, |k| (255.0 * k.confidence) as u8)).collect();
-        Some(Self { triples: (0..RECORD / 3).into_par_iter().map(triple).collect(), confidence })
+        let triples = (0..RECORD / 3).into_par_iter().map(triple).collect();
+        Some(Self { triples, confidence, radial: [[0.0; KNOTS.len()]; 3], gains: vec![[0.0; 3]; atlas.texels.len()] })
     }
 
     fn value(&self, texel: usize, i: usize) -> f32 {
@@ -97,15 +101,30 @@ impl Records {
     }
 
     /// R_d from a texel to a cell of its kernel at distance `d` in texels.
-    fn measured(&self, texel: usize, cell: usize, d: f32, channel: usize) -> f32 {
-        let knots: [f32; KNOTS.len()] = std::array::from_fn(|k| self.value(texel, channel * KNOTS.len() + k));
+    pub(super) fn measured(&self, texel: usize, cell: usize, d: f32, channel: usize) -> f32 {
+        let knots: [f32; KNOTS.len()] =
+            std::array::from_fn(|k| self.value(texel, channel * KNOTS.len() + k) + self.radial[channel][k]);
         let detail = self.value(texel, 3 * KNOTS.len() + channel * CELLS + cell);
-        (ln_fall_off(&knots, d) - detail).exp() // K = m/C
+        (ln_fall_off(&knots, d) - detail + self.gains[texel][channel]).exp() // K = m/C
+    }
+
+    /// Multiplies the fall-offs at the knots by the first over the second of two sums.
+    pub(super) fn bend(&mut self, sums: &[[[f64; 2]; KNOTS.len()]; 3]) {
+        for (ln, sums) in self.radial.iter_mut().flatten().zip(sums.iter().flatten()) {
+            if sums.iter().all(|s| *s > 0.0) {
+                *ln += (sums[0] / sums[1]).clamp(0.2, 5.0).ln() as f32;
+            }
+        }
+    }
+
+    /// Adds to the logarithms of all of each texel.
+    pub(super) fn amplify(&mut self, ln: &[[f32; 3]]) {
+        self.gains.iter_mut().zip(ln).for_each(|(g, l)| (0..3).for_each(|c| g[c] += l[c]));
     }
 }
 
 /// Texels and their four neighbours, over borders.
-fn texel_graph(atlas: &Atlas) -> Graph {
+pub(super) fn texel_graph(atlas: &Atlas) -> Graph {
     let edges = (0..atlas.texels.len()).flat_map(|t| {
         let next = move |(dx, dy)| atlas.neighbour(t, dx, dy).map(|n| (t.min(n) as u32, t.max(n) as u32));
         [(1, 0), (0, 1), (-1, 0), (0, -1)].into_iter().filter_map(next)
@@ -114,6 +133,11 @@ fn texel_graph(atlas: &Atlas) -> Graph {
     edges.sort_unstable();
     edges.dedup();
     Graph::new(atlas.texels.len(), edges.into_iter().map(|(a, b)| (a, b, 1.0)))
+}
+
+/// Whether texels that are (dx, dy) apart in the atlas and `d` texels in space are neighbours on the surface.
+pub(super) fn near_enough(dx: i32, dy: i32, d: f32) -> bool {
+    d <= 2.2 * ((dx * dx + dy * dy) as f32).sqrt() + 2.5
 }
 
 /// K of all texels, [`CELLS`] each: what `measured` says (texel, other texel, cell, distance in texels, channel) less what F and T give.
@@ -141,8 +165,8 @@ pub(super) fn kernels(
                 return [f16::ZERO; 3];
             }
             let d = atlas.texels[n].at.distance(atlas.texels[t].at) / atlas.texel_mm;
-            if d > 2.2 * ((dx * dx + dy * dy) as f32).sqrt() + 2.5 {
-                return [f16::ZERO; 3]; // no neighbours on the surface
+            if !near_enough(dx, dy, d) {
+                return [f16::ZERO; 3];
             }
             let global = f.between(place(t), place(n));
             std::array::from_fn(|c| f16::from_f32(measured(t, n, cell, d, c) - detail[t][c] * global[c]))

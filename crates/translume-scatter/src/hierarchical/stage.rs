@@ -115,6 +115,11 @@ impl Stage {
         self.beams.len()
     }
 
+    /// Leaves out laser positions, by their numbers in the rig, to see how well the others predict them.
+    pub fn hold_out(&mut self, held: impl Fn(usize) -> bool) {
+        self.beams.retain(|b| !held(b.position));
+    }
+
     /// Corners of a triangle.
     pub(super) fn corners(&self, face: u32) -> [u32; 3] {
         self.surface.mesh.indices[face as usize]

@@ -3,15 +3,19 @@
 //! Colours of a model are told by their names: `red`, `green`, `blue`, or a single channel for all three.
 
 mod fall_off;
+mod hierarchical;
 mod planar;
 mod vertex;
 
+use glam::Vec3;
 use serde_json::Value;
 use std::path::Path;
 use std::sync::Arc;
 use translume_bxdf::Bssrdf;
 use translume_image::{Error, Result};
+use translume_mesh::TriMesh;
 
+pub use hierarchical::HierarchicalMaterial;
 pub use planar::PlanarMaterial;
 pub use vertex::VertexMaterial;
 
@@ -26,7 +30,24 @@ pub fn load_material(path: &Path) -> Result<Arc<dyn Bssrdf>> {
     match head["format"].as_str() {
         Some(crate::planar::FORMAT) => Ok(Arc::new(PlanarMaterial::load(path)?)),
         Some(crate::vertex::FORMAT) => Ok(Arc::new(VertexMaterial::load(path)?)),
+        Some(crate::hierarchical::HIERARCHICAL_FORMAT) => Ok(Arc::new(HierarchicalMaterial::load(path)?)),
         _ => Err(Error::invalid(&file, "not a model of a translucent object")),
+    }
+}
+
+/// Whether a surface is the mesh that a model was fitted to; else a sentence for the user.
+fn same_mesh(
+    name: &str,
+    mesh: &TriMesh,
+    faces: usize,
+    corners: &dyn Fn(usize) -> [Vec3; 3],
+) -> std::result::Result<(), String> {
+    let own = mesh.indices.len();
+    let near = 1e-3 * mesh.bounds().extent().max_element();
+    let same = |face: usize| mesh.corners(face).iter().zip(corners(face)).all(|(a, b)| a.distance(b) <= near);
+    match faces == own && (0..own).all(same) {
+        true => Ok(()),
+        false => Err(format!("{name}: it stands only on the mesh it was fitted to, {name}/mesh.ply, in mm")),
     }
 }
 
@@ -80,9 +101,8 @@ mod tests {
     use crate::fit::{Model, PointFit, Segment};
     use crate::planar::{LitPoint, ModelHead, PlanarModel};
     use crate::vertex::{Faults, Vertex, VertexHead, VertexModel};
-    use glam::{Vec2, Vec3};
+    use glam::Vec2;
     use translume_bxdf::bssrdf::Site;
-    use translume_mesh::TriMesh;
 
     fn fall_off(rates: &[f64]) -> PointFit {
         let segment = |d: &f64| Segment {
@@ -101,14 +121,19 @@ mod tests {
         Site { p: p.into(), face: 0, uv: Vec2::new(0.25, 0.5) }
     }
 
-    /// The density of distances integrates to one over the plane, and the bound bounds.
-    fn check(material: &dyn Bssrdf, to: &Site) {
+    /// The density of distances integrates to one over the plane.
+    pub(super) fn check_density(material: &dyn Bssrdf, to: &Site) {
         let radii = material.radii(to);
         let total: f64 = (0..40_000)
             .map(|i| 0.005 * (f64::from(i) + 0.5))
             .map(|r| f64::from(radii.pdf_a(r as f32)) * std::f64::consts::TAU * r * 0.005)
             .sum();
         assert!((total - 1.0).abs() < 1e-2, "{total}");
+    }
+
+    /// That, and the bound bounds.
+    fn check(material: &dyn Bssrdf, to: &Site) {
+        check_density(material, to);
         for i in 0..200 {
             let r = 0.1 * i as f32;
             let from = Site { p: to.p + Vec3::X * r, ..*to };

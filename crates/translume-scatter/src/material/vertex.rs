@@ -123,13 +123,6 @@ impl Bssrdf for VertexMaterial {
     }
 
     fn fits(&self, faces: usize, corners: &dyn Fn(usize) -> [Vec3; 3]) -> std::result::Result<(), String> {
-        let own = self.mesh.indices.len();
-        let bounds = self.mesh.bounds();
-        let near = 1e-3 * bounds.extent().max_element();
-        let same = |face: usize| self.mesh.corners(face).iter().zip(corners(face)).all(|(a, b)| a.distance(b) <= near);
-        match faces == own && (0..own).all(same) {
-            true => Ok(()),
-            false => Err(format!("{0}: it stands only on the mesh it was fitted to, {0}/mesh.ply, in mm", self.name)),
-        }
+        super::same_mesh(&self.name, &self.mesh, faces, corners)
     }
 }

@@ -62,7 +62,7 @@ const BLOCK: usize = 32;
 impl Relighter {
     /// Prepares `model` for a view. `surface` is its mesh. `None` where the view has no direction.
     pub fn new(model: &Hierarchical, surface: &Surface, sight: &Sight) -> Option<Self> {
-        let samples = samples(model, surface, sight)?;
+        let samples = sight_samples(surface, sight)?;
         Some(Self::of_samples(model, (sight.width, sight.height), sight.samples, samples))
     }
 
@@ -71,7 +71,7 @@ impl Relighter {
         let size = (camera.width, camera.height);
         let single = |v: [f64; 3]| Vec3::from_array(v.map(|x| x as f32));
         let direction = |x: f32, y: f32| single(camera.direction([f64::from(x), f64::from(y)]));
-        let samples = cast(model, surface, (size.0, size.1, 1), single(camera.eye()), direction);
+        let samples = cast(surface, (size.0, size.1, 1), single(camera.eye()), direction);
         Self::of_samples(model, size, 1, samples)
     }
 
@@ -207,9 +207,10 @@ fn neighbours(atlas: &Atlas, texel: u32) -> [u32; CELLS] {
 }
 
 /// Pixel, triangle, place on it and cosine for all samples that see the mesh from outside.
-type Sample = (u32, u32, [f32; 2], f32);
+pub(crate) type Sample = (u32, u32, [f32; 2], f32);
 
-fn samples(model: &Hierarchical, surface: &Surface, sight: &Sight) -> Option<Vec<Sample>> {
+/// What the samples of a view see; `None` where it has no direction.
+pub(crate) fn sight_samples(surface: &Surface, sight: &Sight) -> Option<Vec<Sample>> {
     let [right, down, forward] = look(sight.eye, sight.target, sight.up)?;
     let eye = Vec3::from_array(sight.eye.map(|x| x as f32));
     let half = (0.5 * sight.fov_deg.to_radians()).tan() as f32;
@@ -218,12 +219,11 @@ fn samples(model: &Hierarchical, surface: &Surface, sight: &Sight) -> Option<Vec
         let (px, py) = ((2.0 * x - w) / w, (2.0 * y - h) / w);
         (forward + half * (px * right + py * down)).normalize()
     };
-    Some(cast(model, surface, (sight.width, sight.height, sight.samples), eye, direction))
+    Some(cast(surface, (sight.width, sight.height, sight.samples), eye, direction))
 }
 
 /// What rays from `eye` see, along the directions of places of the picture, `n` × `n` in each pixel.
 fn cast(
-    model: &Hierarchical,
     surface: &Surface,
     (w, h, n): (usize, usize, usize),
     eye: Vec3,
@@ -236,7 +236,7 @@ fn cast(
             let at = |k: usize, s: usize| k as f32 + (s as f32 + 0.5) / n as f32;
             let direction = direction(at(x, sub % n), at(y, sub / n));
             let (face, uv) = surface.first_hit(&Ray::new(eye, direction))?;
-            let [a, b, c] = model.mesh.corners(face as usize);
+            let [a, b, c] = surface.mesh.corners(face as usize);
             let cos = -direction.dot((b - a).cross(c - a).normalize_or_zero());
             (cos > 0.0).then_some(((y * w + x) as u32, face, uv, cos))
         };
@@ -297,7 +297,7 @@ mod tests {
         let power = Sources::new(&lights, Path::new("")).unwrap().shine(&surface, &model.atlas, 1.0);
         let relighter = Relighter::new(&model, &surface, &SIGHT).unwrap();
         let found = relighter.picture(&power, Part::Whole);
-        let samples = samples(&model, &surface, &SIGHT).unwrap();
+        let samples = sight_samples(&surface, &SIGHT).unwrap();
         let texels = &model.atlas.texels;
         let (mut error, mut total) = (0.0f64, 0.0f64);
         for &(pixel, face, uv, _) in &samples {

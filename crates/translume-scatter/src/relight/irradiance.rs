@@ -12,6 +12,9 @@ use std::f32::consts::{PI, TAU};
 use std::path::Path;
 use translume_bxdf::fresnel;
 use translume_core::distribution::Piecewise2d;
+use translume_core::frame::Frame;
+use translume_core::rng::Pcg32;
+use translume_core::warp;
 use translume_image::{Picture, Result, read_picture};
 
 /// Lights, ready to shine.
@@ -92,6 +95,28 @@ impl Sources {
     /// Moves the first light that has a place; what an interactive user does.
     pub fn move_first(&mut self, to: Vec3) {
         self.places.iter_mut().take(1).for_each(|p| p.at = to);
+    }
+
+    /// A ray towards the ball around `center`, by uniform chance, and the power that it stands for; `None` without any light.
+    pub(crate) fn emit(&self, center: Vec3, radius: f32, rng: &mut Pcg32) -> Option<(Vec3, Vec3, Vec3)> {
+        let count = self.places.len() + self.directions.len();
+        let index = ((rng.next_f32() * count as f32) as usize).min(count.checked_sub(1)?);
+        let u = [rng.next_f32(), rng.next_f32()];
+        let Some(place) = self.places.get(index) else {
+            let (direction, light) = self.directions[index - self.places.len()];
+            let disc = radius * warp::uniform_disk(u[0], u[1]);
+            let frame = Frame::from_normal(direction);
+            let origin = center + frame.to_world(disc.extend(0.0)) + 4.0 * radius * direction;
+            return Some((origin, -direction, light * (count as f32 * PI * radius * radius)));
+        };
+        let to = center - place.at;
+        // From within the ball into all directions.
+        let least = if to.length() > radius { (1.0 - (radius / to.length()).powi(2)).sqrt() } else { -1.0 };
+        let cos = 1.0 - u[0] * (1.0 - least);
+        let (sin, angle) = ((1.0 - cos * cos).max(0.0).sqrt(), TAU * u[1]);
+        let direction =
+            Frame::from_normal(to.normalize_or_zero()).to_world(Vec3::new(sin * angle.cos(), sin * angle.sin(), cos));
+        Some((place.at, direction, place.shape.towards(direction) * (count as f32 * TAU * (1.0 - least))))
     }
 
     /// Power at all texels and vertices.
@@ -246,6 +271,25 @@ mod tests {
         for (t, p) in atlas.texels.iter().zip(&power.texels) {
             assert!(t.at.z > 0.5 || *p == Vec3::ZERO);
         }
+    }
+
+    #[test]
+    fn rays_carry_the_power_that_goes_to_the_ball() {
+        let point = Light::Point { position: [0.0, 0.0, 40.0], intensity: [1.0, 2.0, 3.0] };
+        let mut sources = Sources::new(&[point], Path::new("")).unwrap();
+        // And two directions of irradiance 0.5 and 1.5 on a disc across them.
+        sources.directions = vec![(Vec3::X, Vec3::splat(0.5)), (Vec3::NEG_Y, Vec3::splat(1.5))];
+        let (mut rng, mut sum, n) = (Pcg32::new(7, 1), Vec3::ZERO, 30_000);
+        for _ in 0..n {
+            let (origin, direction, power) = sources.emit(Vec3::ZERO, 10.0, &mut rng).unwrap();
+            // It meets the ball.
+            assert!(direction.is_normalized() && (origin - direction * origin.dot(direction)).length() < 10.01);
+            sum += power / n as f32;
+        }
+        let expected = TAU * (1.0 - (1.0 - 1.0 / 16.0f32).sqrt()) + PI * 100.0 * 2.0;
+        // Three kinds of rays of 0.6, 471 and 1414: five deviations of the mean are 3 %, one false alarm in a million.
+        assert!((sum.x / expected - 1.0).abs() < 0.03, "{sum} {expected}");
+        assert!(Sources::default().emit(Vec3::ZERO, 10.0, &mut rng).is_none());
     }
 
     #[test]

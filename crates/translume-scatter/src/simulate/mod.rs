@@ -5,12 +5,14 @@
 //! mean reflectance of the boundary from outside, or M/π for a rough boundary. That is the assumption of the measurement
 //! equation itself [Goesele 2004, Eq. 2]; single scattering keeps its strength and place, but not its direction.
 
+mod lit;
 mod medium;
 mod slab;
 mod solid;
 mod stage;
 mod walk;
 
+pub use lit::{LitParams, picture_of_solid};
 pub use medium::{Local, Medium, Procedural};
 pub use slab::{Slab, TOP, pencil_beam};
 pub use solid::{Solid, capture_solid};
@@ -51,6 +53,8 @@ pub struct CaptureParams {
     pub rough: bool,
     /// Photons for each laser position.
     pub photons: usize,
+    /// How evenly the noise of the walk lies over all distances: with 1 faint places are as sure as bright ones, with 0 no photon is split.
+    pub evenness: f64,
     /// Brightest to darkest radiance that the camera tells from black, in dB; infinite for a camera without noise.
     pub dynamic_range_db: f64,
     /// Standard deviation of the response of a pixel, relative.
@@ -81,6 +85,7 @@ impl Default for CaptureParams {
             eta: 1.5,
             rough: false,
             photons: 4_000,
+            evenness: 1.0,
             dynamic_range_db: 120.0,
             pixel_noise: 0.01,
             drift: 0.0,

@@ -50,6 +50,11 @@ impl Solid {
         &self.surface.mesh
     }
 
+    /// The same for rays.
+    pub(super) fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
     /// The box around it.
     pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         let b = self.mesh().bounds();

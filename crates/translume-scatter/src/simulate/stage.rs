@@ -183,7 +183,7 @@ impl Pilot {
         let sum = |i: usize, k: usize| told.iter().map(|t| t.0[i][k]).sum::<f64>();
         let profile: Vec<[f64; 2]> = (0..RINGS).map(|i| [sum(i, 0) / (TAU * (i as f64 + 0.5)), sum(i, 1)]).collect();
         Self {
-            importance: Importance::new(wanted(&profile, REACH * params.field_mm)),
+            importance: Importance::new(wanted(&profile, REACH * params.field_mm, params.evenness)),
             // Room for brighter positions than the pilots.
             brightest: 2.0 * told.iter().map(|t| t.1).fold(0.0, f64::max),
         }
@@ -191,8 +191,8 @@ impl Pilot {
 }
 
 /// Weights in proportion to the light that leaves in rings of 1 mm (its density, and the exits counted), so that all rings are
-/// reached by as many photons for their area; beyond `reach` fewer.
-fn wanted(profile: &[[f64; 2]], reach: f64) -> Vec<f64> {
+/// reached by as many photons for their area; beyond `reach` fewer. An `evenness` below 1 spends less on faint rings.
+fn wanted(profile: &[[f64; 2]], reach: f64, evenness: f64) -> Vec<f64> {
     let first = profile[0][0].max(1e-30);
     let mut ln: Vec<f64> = vec![0.0];
     for ring in &profile[1..] {
@@ -207,7 +207,7 @@ fn wanted(profile: &[[f64; 2]], reach: f64) -> Vec<f64> {
         // Rings stand for their centres; the beam's own is flat.
         let at = (r - 0.5).clamp(0.0, (ln.len() - 2) as f64);
         let (k, t) = (at as usize, at.fract());
-        let value = (ln[k] * (1.0 - t) + ln[k + 1] * t).exp().clamp(1e-9, 1.0);
+        let value = (evenness * (ln[k] * (1.0 - t) + ln[k + 1] * t)).exp().clamp(1e-9, 1.0);
         // Outside of all frames the less: through an almost empty slab light runs for ever.
         let outside = (r / (1.5 * reach)).max(1.0).powi(4);
         if r > reach { (30.0 * value * outside).min(1.0) } else { value }

@@ -1,8 +1,9 @@
-//! A model of an object on disk: `model.json`, `mesh.ply`, and `texture.exr` with a row for each triangle and a column for each
+//! Models of an object on disk: `model.json`, `mesh.ply`, and `texture.exr` with a row for each triangle and a column for each
 //! of its texels, channels `alpha.NAME` and the number of samples behind it, `samples.NAME`.
 
 use super::model::VertexModel;
 use super::samples::MeshCapture;
+use super::uniform::UniformModel;
 use crate::capture::Texels;
 use crate::fit::Model;
 use serde::{Deserialize, Serialize};
@@ -83,26 +84,62 @@ struct Whole {
     model: VertexModel,
 }
 
+/// What `model.json` of a [`UniformModel`] calls it.
+pub const UNIFORM_FORMAT: &str = "translume uniform model";
+
+#[derive(Serialize, Deserialize)]
+struct WholeUniform {
+    format: String,
+    version: String,
+    #[serde(flatten)]
+    head: VertexHead,
+    #[serde(flatten)]
+    model: UniformModel,
+}
+
 /// Writes the model into the folder `path`, which is made.
 ///
 /// # Errors
 /// [`Error::Io`].
 pub fn save_vertex_model(path: &Path, head: &VertexHead, model: &VertexModel, mesh: &MeshCapture) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
-    let options = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };
-    let names: Vec<[String; 2]> =
-        head.channels.iter().map(|n| [format!("alpha.{n}"), format!("samples.{n}")]).collect();
-    let planes = names.iter().zip(model.texture.iter().zip(&model.texture_samples));
-    let channels: Vec<(&str, &[f32])> =
-        planes.flat_map(|([a, s], (alpha, samples))| [(a.as_str(), &alpha[..]), (s.as_str(), &samples[..])]).collect();
-    let size = (Texels { per_edge: model.texels_per_edge }.per_face(), mesh.surface.mesh.indices.len());
-    write_exr_channels(&path.join("texture.exr"), size, &channels, &options)?;
-    let mesh_file = path.join("mesh.ply");
-    atomic::write(&mesh_file, |out| ply::write(&mesh.surface.mesh, out).map_err(|e| Error::io(&mesh_file, e)))?;
+    write_texture(path, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
     let whole =
         Whole { format: FORMAT.into(), version: VERTEX_MODEL_VERSION.into(), head: head.clone(), model: model.clone() };
     let text = serde_json::to_string(&whole).expect("plain data");
     atomic::write_bytes(&path.join("model.json"), text.as_bytes())
+}
+
+/// Writes a model with one fall-off.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn save_uniform_model(path: &Path, head: &VertexHead, model: &UniformModel, mesh: &MeshCapture) -> Result<()> {
+    write_texture(path, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
+    let (format, version) = (UNIFORM_FORMAT.into(), VERTEX_MODEL_VERSION.into());
+    let whole = WholeUniform { format, version, head: head.clone(), model: model.clone() };
+    let text = serde_json::to_string_pretty(&whole).expect("plain data");
+    atomic::write_bytes(&path.join("model.json"), text.as_bytes())
+}
+
+/// The mesh, and the texture with the numbers of its samples.
+fn write_texture(
+    path: &Path,
+    head: &VertexHead,
+    mesh: &MeshCapture,
+    per_edge: usize,
+    (texture, samples): (&[Vec<f32>], &[Vec<f32>]),
+) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
+    let options = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };
+    let names: Vec<[String; 2]> =
+        head.channels.iter().map(|n| [format!("alpha.{n}"), format!("samples.{n}")]).collect();
+    let planes = names.iter().zip(texture.iter().zip(samples));
+    let channels: Vec<(&str, &[f32])> =
+        planes.flat_map(|([a, s], (alpha, samples))| [(a.as_str(), &alpha[..]), (s.as_str(), &samples[..])]).collect();
+    let size = (Texels { per_edge }.per_face(), mesh.surface.mesh.indices.len());
+    write_exr_channels(&path.join("texture.exr"), size, &channels, &options)?;
+    let mesh_file = path.join("mesh.ply");
+    atomic::write(&mesh_file, |out| ply::write(&mesh.surface.mesh, out).map_err(|e| Error::io(&mesh_file, e)))
 }
 
 /// Reads a model that was fitted to `mesh`.
@@ -126,25 +163,10 @@ pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead,
 /// [`Error::Io`]; [`Error::Invalid`] for damaged files; [`Error::Unsupported`] for another version.
 pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMesh)> {
     let file = path.join("model.json");
-    let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
-    let value: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    if value["format"] != FORMAT {
-        return Err(Error::invalid(&file, "not a model of translume for a mesh"));
-    }
-    let version = value["version"].as_str().unwrap_or_default();
-    if version.split('.').next() != VERTEX_MODEL_VERSION.split('.').next() {
-        let what = format!("version {version}; this program reads {VERTEX_MODEL_VERSION}");
-        return Err(Error::unsupported(&file, what));
-    }
+    let value = read_json(&file, FORMAT)?;
     let Whole { head, mut model, .. }: Whole =
-        serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    let head: VertexHead = head;
-    let mesh_file = path.join("mesh.ply");
-    let mesh = translume_mesh::read(&mesh_file, &ReadOptions::default())
-        .map_err(|e| Error::invalid(&file, format!("its mesh: {e}")))?
-        .merged()
-        .filter(|m| !m.indices.is_empty() && m.fault().is_none());
-    let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no sound triangles"))?;
+        serde_json::from_value(value).map_err(|e| Error::invalid(&file, e.to_string()))?;
+    let mesh = read_mesh(path)?;
     let sound = |v: &super::Vertex| v.scale.len() == head.channels.len() && v.fall_off.segments.len() <= 1;
     let counts = model.vertices.len() == mesh.positions.len() && (1..=32).contains(&model.texels_per_edge);
     let gain =
@@ -155,7 +177,59 @@ pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMes
     if !counts || head.channels.is_empty() || !model.vertices.iter().all(sound) {
         return Err(Error::invalid(&file, "its vertices do not go with its mesh and channels"));
     }
-    let expected = Texels { per_edge: model.texels_per_edge }.per_face() * mesh.indices.len();
+    (model.texture, model.texture_samples) = read_texture(path, &head, &mesh, model.texels_per_edge)?;
+    Ok((head, model, mesh))
+}
+
+/// Reads a model with one fall-off and its mesh.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Invalid`] for damaged files; [`Error::Unsupported`] for another version.
+pub fn read_uniform_model(path: &Path) -> Result<(VertexHead, UniformModel, TriMesh)> {
+    let file = path.join("model.json");
+    let value = read_json(&file, UNIFORM_FORMAT)?;
+    let WholeUniform { head, mut model, .. }: WholeUniform =
+        serde_json::from_value(value).map_err(|e| Error::invalid(&file, e.to_string()))?;
+    let mesh = read_mesh(path)?;
+    if head.channels.is_empty()
+        || model.curves.len() != head.channels.len()
+        || !(1..=32).contains(&model.texels_per_edge)
+    {
+        return Err(Error::invalid(&file, "its fall-offs do not go with its channels"));
+    }
+    (model.texture, model.texture_samples) = read_texture(path, &head, &mesh, model.texels_per_edge)?;
+    Ok((head, model, mesh))
+}
+
+/// `model.json` of a format and version that is read.
+fn read_json(file: &Path, format: &str) -> Result<serde_json::Value> {
+    let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+    let value: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(file, e.to_string()))?;
+    if value["format"] != format {
+        return Err(Error::invalid(file, format!("not a {format}")));
+    }
+    let version = value["version"].as_str().unwrap_or_default();
+    if version.split('.').next() != VERTEX_MODEL_VERSION.split('.').next() {
+        let what = format!("version {version}; this program reads {VERTEX_MODEL_VERSION}");
+        return Err(Error::unsupported(file, what));
+    }
+    Ok(value)
+}
+
+fn read_mesh(path: &Path) -> Result<TriMesh> {
+    let file = path.join("mesh.ply");
+    let mesh = translume_mesh::read(&file, &ReadOptions::default())
+        .map_err(|e| Error::invalid(&file, e.to_string()))?
+        .merged()
+        .filter(|m| !m.indices.is_empty() && m.fault().is_none());
+    mesh.ok_or_else(|| Error::invalid(&file, "no sound triangles"))
+}
+
+/// A texture and the numbers of its samples, a list for each channel.
+type Texture = (Vec<Vec<f32>>, Vec<Vec<f32>>);
+
+fn read_texture(path: &Path, head: &VertexHead, mesh: &TriMesh, per_edge: usize) -> Result<Texture> {
+    let expected = Texels { per_edge }.per_face() * mesh.indices.len();
     let file = path.join("texture.exr");
     let mut texture = read_exr_channels(&file, 0)?;
     let mut take = |name: String| {
@@ -163,9 +237,10 @@ pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMes
         let fits = plane.filter(|p| p.len() == expected);
         fits.ok_or_else(|| Error::invalid(&file, format!("no channel {name} of the mesh's size")))
     };
+    let mut out = Texture::default();
     for name in &head.channels {
-        model.texture.push(take(format!("alpha.{name}"))?);
-        model.texture_samples.push(take(format!("samples.{name}"))?);
+        out.0.push(take(format!("alpha.{name}"))?);
+        out.1.push(take(format!("samples.{name}"))?);
     }
-    Ok((head, model, mesh))
+    Ok(out)
 }

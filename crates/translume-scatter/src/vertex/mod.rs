@@ -10,10 +10,15 @@ mod gains;
 mod interpolate;
 mod model;
 mod samples;
+mod uniform;
 
 pub use error::error_map;
 pub(crate) use file::FORMAT;
-pub use file::{FrameGain, VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, read_vertex_model, save_vertex_model};
+pub use file::{
+    FrameGain, UNIFORM_FORMAT, VERTEX_MODEL_VERSION, VertexHead, load_vertex_model, read_uniform_model,
+    read_vertex_model, save_uniform_model, save_vertex_model,
+};
 pub use gains::estimate_gains;
 pub use model::{Faults, Vertex, VertexModel, VertexParams, fit_vertices};
 pub use samples::{Beam, MeshCapture};
+pub use uniform::{UniformModel, fit_uniform};

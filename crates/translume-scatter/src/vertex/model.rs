@@ -149,7 +149,7 @@ pub fn fit_vertices(mesh: &MeshCapture, params: &VertexParams, progress: impl Fn
         tried.into_par_iter().zip(&mesh.beams).map(pick).unzip();
     let mut vertices = assign(mesh, params, &stable);
     interpolate(&mesh.surface.mesh, &params.fit, &mut vertices);
-    let texels = Texels::about(&mesh.surface.mesh, pixel_mm(mesh));
+    let texels = Texels::about(&mesh.surface.mesh, mesh.pixel_mm());
     let lost = |fault| stable.iter().zip(&wrong).filter(|(s, f)| s.is_none() && **f == Some(fault)).count();
     let unstable = stable.iter().filter(|s| s.is_none()).count();
     let faults = Faults {
@@ -281,13 +281,6 @@ fn spacing(mesh: &MeshCapture) -> f64 {
     let mut all: Vec<f64> = (0..mesh.beams.len()).into_par_iter().map(nearest).collect();
     all.sort_by(f64::total_cmp);
     all[all.len() / 2]
-}
-
-/// Size of a pixel on the object.
-fn pixel_mm(mesh: &MeshCapture) -> f64 {
-    let camera = &mesh.capture.rig.views[0].camera;
-    let center = mesh.surface.mesh.bounds().center().as_dvec3().to_array();
-    norm(sub(camera.eye(), center)) / camera.focal_px
 }
 
 /// α(x_o): a mean over the laser positions of sample/model, for samples of medium intensity.

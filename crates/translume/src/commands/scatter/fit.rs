@@ -11,7 +11,8 @@ use translume_scatter::planar::{
     MODEL_VERSION, ModelHead, PlanarCapture, PlanarParams, estimate_gains, fit_planar, save_model,
 };
 use translume_scatter::vertex::{
-    self, FrameGain, MeshCapture, VertexHead, VertexParams, fit_vertices, save_vertex_model,
+    self, FrameGain, MeshCapture, VertexHead, VertexParams, fit_uniform, fit_vertices, save_uniform_model,
+    save_vertex_model,
 };
 use translume_scatter::{Error, MAX_TERMS, Model, Params, SampleFile, Sink, fit_file};
 
@@ -31,6 +32,9 @@ Examples:
 
   A capture of a mesh: a fall-off for each vertex, for rendering from any side:
     translume scatter fit bunny-capture/ --model exponential -o bunny-model/
+
+  One dipole for the whole object, with an albedo by place:
+    translume scatter fit bunny-capture/ --model dipole --uniform -o bunny-dipole/
 
   The same capture as a hierarchical model, for relighting at interactive rates:
     translume scatter fit bunny-capture/ --model hierarchical -o bunny-disco/";
@@ -85,6 +89,9 @@ pub(super) struct Args {
     /// Fit a factor to the dipoles too, for samples whose unit is not mm⁻²
     #[arg(long)]
     pub(super) free_scale: bool,
+    /// Objects: one fall-off for the whole of them, for each colour, times an albedo by place
+    #[arg(long)]
+    pub(super) uniform: bool,
     /// Captures: one fall-off for all colours, with a factor for each
     #[arg(long)]
     pub(super) shared: bool,
@@ -101,6 +108,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let Some(params) = params else { return super::fit_hierarchical::run(args, ctx) };
     match args.input.is_dir() {
         true => fit_capture(args, params, ctx),
+        false if args.uniform => Err(Usage("--uniform needs a capture of an object".into()).into()),
         false if args.shared || args.gains => {
             Err(Usage("--shared and --gains need a capture; a list of samples has one channel and no frames".into())
                 .into())
@@ -194,6 +202,9 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
     if !opened.is_flat() {
         return fit_mesh(args, fit, opened, ctx);
     }
+    if args.uniform {
+        return Err(Usage("--uniform needs a capture of an object, not of a flat sample".into()).into());
+    }
     let mut capture = PlanarCapture::new(opened, args.threshold)?;
     if capture.missing > 0 {
         ctx.warn(format!(
@@ -272,6 +283,9 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
         mesh.gains = vertex::estimate_gains(&mesh)?;
         tell_gains(mesh.gains.iter().flatten().flatten(), ctx)?;
     }
+    if args.uniform {
+        return fit_whole(args, &fit, &mesh, ctx);
+    }
     let bar = ctx.progress(mesh.beams.len() as u64, "fitting");
     let params = VertexParams { fit, ..VertexParams::default() };
     let model = fit_vertices(&mesh, &params, || bar.inc(1))?;
@@ -283,15 +297,7 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
     if empty > 0 {
         ctx.warn(format!("{empty} vertices are on pieces that no laser position lit, and have no fall-off"));
     }
-    let head = VertexHead {
-        command: ctx.command_line.clone(),
-        model: params.fit.model,
-        terms: params.fit.terms,
-        threshold: args.threshold,
-        channels: mesh.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
-        eta: mesh.capture.rig.eta,
-        gains: FrameGain::of(&mesh),
-    };
+    let head = head(args, &params.fit, &mesh, ctx);
     save_vertex_model(&args.output, &head, &model, &mesh)?;
     let vertices = model.vertices.len();
     let seen = model.texture_samples.iter().flatten().filter(|n| **n > 0.0).count();
@@ -322,4 +328,31 @@ fn tell_gains<'a>(gains: impl Iterator<Item = &'a f64>, ctx: &Context) -> anyhow
         ));
     }
     Ok(())
+}
+
+fn fit_whole(args: &Args, fit: &Params, mesh: &MeshCapture, ctx: &Context) -> anyhow::Result<()> {
+    let bar = ctx.progress(3 * mesh.beams.len() as u64, "fitting");
+    let model = fit_uniform(mesh, fit, || bar.inc(1))?;
+    save_uniform_model(&args.output, &head(args, fit, mesh, ctx), &model, mesh)?;
+    ctx.text(format!(
+        "one fall-off for each colour, fitted up to {:.1} mm; error of the square roots of pixels held out {:.3}",
+        model.reach_mm,
+        model.held_out_error.sqrt()
+    ))?;
+    ctx.emit_json(json!({
+        "output": args.output.to_string_lossy(), "reach_mm": model.reach_mm, "held_out_error": model.held_out_error,
+        "positions": mesh.beams.len(),
+    }))
+}
+
+fn head(args: &Args, fit: &Params, mesh: &MeshCapture, ctx: &Context) -> VertexHead {
+    VertexHead {
+        command: ctx.command_line.clone(),
+        model: fit.model,
+        terms: fit.terms,
+        threshold: args.threshold,
+        channels: mesh.capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
+        eta: mesh.capture.rig.eta,
+        gains: FrameGain::of(mesh),
+    }
 }

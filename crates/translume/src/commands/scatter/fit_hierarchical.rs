@@ -10,9 +10,8 @@ use translume_scatter::hierarchical::{
 };
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    if args.shared || args.gains || args.free_scale || args.segments != 1 {
-        let what =
-            "--shared, --gains, --free-scale and --segments are about fall-offs; the hierarchical model has none";
+    if args.shared || args.gains || args.free_scale || args.uniform || args.segments != 1 {
+        let what = "--shared, --gains, --free-scale, --uniform and --segments are about fall-offs; the hierarchical model has none";
         return Err(Usage(what.into()).into());
     }
     if args.threshold.is_nan() || args.threshold < 0.0 {
@@ -24,8 +23,10 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }
     let stage = Stage::new(Capture::open(&args.input)?, args.threshold, &AtlasParams::default())?;
     let (positions, vertices) = (stage.positions() as u64, stage.surface.mesh.positions.len() as u64);
-    let bar = ctx.progress(2 * positions + vertices, "resampling");
-    let (model, told) = fit_hierarchical(stage, &HierarchicalParams::default(), |step| {
+    let params = HierarchicalParams::default();
+    let rounds = params.rounds as u64;
+    let bar = ctx.progress((2 + rounds) * positions + (1 + rounds) * vertices, "resampling");
+    let (model, told) = fit_hierarchical(stage, &params, |step| {
         bar.set_message(match step {
             Step::Resampled => "resampling",
             Step::Completed => "completing",
@@ -41,17 +42,18 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let completion = told.completion;
     ctx.text(format!(
         "{vertices} vertices, {:.0} % of their pairs measured; {} vertices were never lit and {} never seen, theirs is completed\n\
-         {texels} kernels, {} of them measured; modulation known for {:.0} % of the surface",
+         {texels} kernels, {} of them measured, error of spots held out {:.3}; modulation known for {:.0} % of the surface",
         100.0 * completion.measured,
         completion.never_lit,
         completion.never_seen,
         told.measured_kernels,
+        told.kernel_error,
         100.0 * modulated
     ))?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "vertices": vertices, "measured": completion.measured,
         "never_lit": completion.never_lit, "never_seen": completion.never_seen, "kernels": texels,
-        "measured_kernels": told.measured_kernels, "modulated": modulated, "positions": positions,
+        "measured_kernels": told.measured_kernels, "kernel_error": told.kernel_error, "modulated": modulated, "positions": positions,
         "astray": told.losses.astray, "missing": told.losses.missing, "dark": told.losses.dark, "clipped": told.losses.clipped,
         "atlas_side": model.atlas.side, "texel_mm": model.atlas.texel_mm,
     }))

@@ -2,6 +2,7 @@
 
 mod fit;
 mod fit_hierarchical;
+mod picture;
 mod plot;
 mod register;
 mod relight;

@@ -6,11 +6,13 @@ use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use translume_image::{Error, ExrOptions, Precision, atomic, write_exr_channels, write_png8};
+use translume_image::Error;
+use translume_mesh::TriMesh;
 use translume_scatter::capture::Surface;
+use translume_scatter::hierarchical::{Atlas, AtlasParams};
 use translume_scatter::hierarchical::{HIERARCHICAL_FORMAT, Hierarchical, load_hierarchical};
-use translume_scatter::relight::{Lighting, Part, Relighter, Sources, from_vertex_model};
-use translume_scatter::vertex::read_vertex_model;
+use translume_scatter::relight::{Lighting, Part, Power, Relighter, Sight, Sources, uniform_picture, vertex_picture};
+use translume_scatter::vertex::{UNIFORM_FORMAT, UniformModel, VertexModel, read_uniform_model, read_vertex_model};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -31,8 +33,8 @@ enum PartName {
 /// Show a model of an object under new light
 ///
 /// LIGHTS.json holds a view and points, spots, environments and projectors; docs/formats/lights.md describes it. Models are those of
-/// `scatter fit` of captures of objects: hierarchical ones, and those with a fall-off for each vertex, which are brought into the
-/// same form first. Shadows are by rays; light that a concave object throws onto itself is left out. The picture is linear radiance.
+/// `scatter fit` of captures of objects: hierarchical ones, at interactive rates, and those with fall-offs, which are summed over all
+/// lit places. Shadows are by rays; light that a concave object throws onto itself is left out. The picture is linear radiance.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
@@ -54,80 +56,110 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    let extension = args.output.extension().map(|e| e.to_string_lossy().to_lowercase());
-    if !matches!(extension.as_deref(), Some("exr" | "png")) {
-        return Err(Usage(format!("{}: pictures are written as .exr or .png", args.output.display())).into());
-    }
-    atomic::check_writable(&args.output)?;
+    super::picture::check(&args.output)?;
     let lighting = Lighting::read(&args.lights)?;
     let sources = Sources::new(&lighting.lights, args.lights.parent().unwrap_or(Path::new("")))?;
-    let model = load(&args.model)?;
-    let surface = Surface::new(model.mesh.clone()).ok_or_else(|| anyhow!("too many triangles"))?;
-    let relighter = Relighter::new(&model, &surface, &lighting.view)
-        .ok_or_else(|| anyhow!("{}: eye, target and up do not span a view", args.lights.display()))?;
-    let part = match args.part {
-        PartName::Whole => Part::Whole,
-        PartName::Local => Part::Local,
-        PartName::Global => Part::Global,
+    let (model, mesh, eta) = load(&args.model)?;
+    let surface = Surface::new(mesh).ok_or_else(|| anyhow!("too many triangles"))?;
+    let atlas = match &model {
+        Loaded::Hierarchical(model) => model.atlas.clone(),
+        _ => Atlas::new(&surface.mesh, &AtlasParams::default())
+            .ok_or_else(|| anyhow!("{}: its mesh has no area", args.model.display()))?,
     };
+    let shown = Shown::new(args, &model, (&surface, &atlas, eta), &lighting.view)?;
     let begin = Instant::now();
     let mut picture = Vec::new();
     for _ in 0..args.frames {
-        let power = sources.shine(&surface, &model.atlas, model.eta as f32);
-        picture = relighter.picture(&power, part);
+        let power = sources.shine(&surface, &atlas, eta as f32);
+        picture = shown.picture(&power)?;
     }
     let seconds = begin.elapsed().as_secs_f64() / f64::from(args.frames);
-    write(args, relighter.size, &picture, ctx)?;
+    let view = &lighting.view;
+    super::picture::write(&args.output, (view.width, view.height), &picture, ctx)?;
     if args.frames > 1 {
         ctx.text(format!("{:.1} pictures per second", 1.0 / seconds))?;
     }
     ctx.emit_json(json!({
-        "output": args.output.to_string_lossy(), "width": relighter.size.0, "height": relighter.size.1,
-        "vertices": model.mesh.positions.len(), "kernels": model.atlas.texels.len(), "seconds_per_frame": seconds,
+        "output": args.output.to_string_lossy(), "width": view.width, "height": view.height,
+        "vertices": surface.mesh.positions.len(), "kernels": atlas.texels.len(), "seconds_per_frame": seconds,
     }))
 }
 
-fn write(args: &Args, size: (usize, usize), picture: &[[f32; 3]], ctx: &Context) -> anyhow::Result<()> {
-    if args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
-        // The brightest but for one in a hundred pixels is white.
-        let mut levels: Vec<f32> = picture.iter().flatten().copied().filter(|v| *v > 0.0).collect();
-        levels.sort_by(f32::total_cmp);
-        let white = levels.get(levels.len() * 99 / 100).copied().unwrap_or(1.0);
-        let code =
-            |v: &f32| (translume_image::colour::linear_to_srgb((v / white).clamp(0.0, 1.0)) * 255.0).round() as u8;
-        return Ok(write_png8(&args.output, size, &picture.iter().flatten().map(code).collect::<Vec<_>>())?);
-    }
-    let plane = |c: usize| picture.iter().map(|p| p[c]).collect::<Vec<f32>>();
-    let planes = [plane(0), plane(1), plane(2)];
-    let channels: Vec<(&str, &[f32])> = ["R", "G", "B"].into_iter().zip(planes.iter().map(Vec::as_slice)).collect();
-    let options = ExrOptions {
-        precision: Precision::Float,
-        software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
-        command: Some(ctx.command_line.clone()),
-        ..ExrOptions::default()
-    };
-    Ok(write_exr_channels(&args.output, size, &channels, &options)?)
+/// A model of any kind.
+enum Loaded {
+    Hierarchical(Box<Hierarchical>),
+    Vertex(VertexModel),
+    Uniform(UniformModel),
 }
 
-/// A model of either kind.
-fn load(path: &Path) -> anyhow::Result<Hierarchical> {
+/// The model, its mesh and its index of refraction.
+fn load(path: &Path) -> anyhow::Result<(Loaded, TriMesh, f64)> {
     let file = path.join("model.json");
     let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(|e| Error::invalid(&file, e.to_string()))?;
-    match value["format"].as_str() {
-        Some(HIERARCHICAL_FORMAT) => Ok(load_hierarchical(path)?.1),
-        Some("translume vertex model") => vertex(path),
-        Some("translume planar model") => {
-            Err(anyhow!("{}: the model of a flat sample; relight takes models of objects", file.display()))
+    Ok(match value["format"].as_str() {
+        Some(HIERARCHICAL_FORMAT) => {
+            let model = load_hierarchical(path)?.1;
+            let (mesh, eta) = (model.mesh.clone(), model.eta);
+            (Loaded::Hierarchical(Box::new(model)), mesh, eta)
         }
-        _ => Err(anyhow!("{}: not a model of translume", file.display())),
-    }
+        Some("translume vertex model") => {
+            let (head, model, mesh) = read_vertex_model(path)?;
+            (Loaded::Vertex(model), mesh, head.eta)
+        }
+        Some(UNIFORM_FORMAT) => {
+            let (head, model, mesh) = read_uniform_model(path)?;
+            (Loaded::Uniform(model), mesh, head.eta)
+        }
+        Some("translume planar model") => {
+            return Err(anyhow!("{}: the model of a flat sample; relight takes models of objects", file.display()));
+        }
+        _ => return Err(anyhow!("{}: not a model of translume", file.display())),
+    })
 }
 
-fn vertex(path: &Path) -> anyhow::Result<Hierarchical> {
-    let (head, model, mesh) = read_vertex_model(path)?;
-    let made = from_vertex_model(&model, mesh, head.eta);
-    made.ok_or_else(|| {
-        anyhow!("{}: relighting needs a mesh with area, and one channel or red, green, blue", path.display())
-    })
+/// A model in front of the camera.
+enum Shown<'a> {
+    Hierarchical(Relighter, Part),
+    Other(&'a Args, &'a Loaded, (&'a Surface, &'a Atlas, f64), &'a Sight),
+}
+
+impl<'a> Shown<'a> {
+    fn new(
+        args: &'a Args,
+        model: &'a Loaded,
+        object: (&'a Surface, &'a Atlas, f64),
+        view: &'a Sight,
+    ) -> anyhow::Result<Self> {
+        let part = match args.part {
+            PartName::Whole => Part::Whole,
+            PartName::Local => Part::Local,
+            PartName::Global => Part::Global,
+        };
+        let Loaded::Hierarchical(model) = model else {
+            if part != Part::Whole {
+                return Err(Usage("--part: only hierarchical models have parts".into()).into());
+            }
+            return Ok(Self::Other(args, model, object, view));
+        };
+        let relighter = Relighter::new(model, object.0, view)
+            .ok_or_else(|| anyhow!("{}: eye, target and up do not span a view", args.lights.display()))?;
+        Ok(Self::Hierarchical(relighter, part))
+    }
+
+    fn picture(&self, power: &Power) -> anyhow::Result<Vec<[f32; 3]>> {
+        let (args, made) = match self {
+            Self::Hierarchical(relighter, part) => return Ok(relighter.picture(power, *part)),
+            Self::Other(args, Loaded::Vertex(model), object, view) => {
+                (args, vertex_picture(model, *object, power, view))
+            }
+            Self::Other(args, Loaded::Uniform(model), object, view) => {
+                (args, uniform_picture(model, *object, power, view))
+            }
+            Self::Other(_, Loaded::Hierarchical(_), ..) => unreachable!("it has a relighter"),
+        };
+        made.ok_or_else(|| {
+            anyhow!("{}: relighting needs one channel or red, green, blue, and a fall-off", args.model.display())
+        })
+    }
 }

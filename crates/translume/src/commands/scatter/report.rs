@@ -19,14 +19,14 @@ Examples:
 ///
 /// The errors are those of pixels that no fit has seen. Fitted for comparison are, on flat samples, the exponential model, isotropic
 /// and with 4 and 8 directions, with a fall-off for each colour and a shared one, and the dipole with a free scale; on objects,
-/// one exponential and the dipole. Hierarchical models use all pixels; theirs are errors of what was fitted, without F, without K and
-/// without the modulation for comparison, and the pictures show local, global and combined light apart. Written are an HTML page with pictures, samples against fits, and the table as CSV.
+/// one exponential and the dipole. Hierarchical models use all pixels; theirs are errors of what was fitted, without K and without the
+/// modulation for comparison, and of every fifth laser position as a model of the others predicts it; and the pictures show local, global and combined light apart. Written are an HTML page with pictures, samples against fits, and the table as CSV.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct Args {
     /// The folder of a capture
     #[arg(value_name = "CAPTURE")]
-    capture: PathBuf,
+    pub(super) capture: PathBuf,
     /// The folder of a model that was fitted to it
     #[arg(value_name = "MODEL")]
     pub(super) model: PathBuf,

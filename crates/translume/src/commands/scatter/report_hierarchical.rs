@@ -5,7 +5,9 @@ use crate::commands::page::Figure;
 use anyhow::anyhow;
 use std::path::Path;
 use translume_scatter::capture::Capture;
-use translume_scatter::hierarchical::{Hierarchical, load_hierarchical};
+use translume_scatter::hierarchical::{
+    AtlasParams, Hierarchical, HierarchicalParams, Stage, fit_hierarchical, load_hierarchical,
+};
 use translume_scatter::planar::ErrorMap;
 use translume_scatter::relight::{Part, Predictor};
 
@@ -19,16 +21,36 @@ pub(super) fn tell(args: &Args, capture: &Capture, threshold: f64) -> anyhow::Re
     ] {
         rows.push(Row { name: name.into(), errors: predictor(model, capture)?.errors(threshold)? });
     }
+    rows.extend(held_out(args, capture, threshold)?);
     std::fs::create_dir_all(&args.output)?;
     let pictures = pictures(&args.output, capture, &predictor(&model, capture)?, &rows[0].errors)?;
     Ok(Told {
         title: "A hierarchical model of an object",
-        on: "all pixels above the noise",
+        on: "all pixels above the noise; held out is every fifth position, predicted by a model of the others",
         channels: capture.rig.channels.iter().map(|c| c.name.clone()).collect(),
         points: capture.rig.laser.hits_mm.len(),
         rows,
         pictures,
     })
+}
+
+/// A model of four fifths of the laser positions, held against the others.
+fn held_out(args: &Args, capture: &Capture, threshold: f64) -> anyhow::Result<Vec<Row>> {
+    let held = |position: usize| position % 5 == 4;
+    let mut stage = Stage::new(Capture::open(&args.capture)?, threshold, &AtlasParams::default())?;
+    stage.hold_out(held);
+    if stage.positions() == 0 {
+        return Ok(Vec::new());
+    }
+    let (model, _) = fit_hierarchical(stage, &HierarchicalParams::default(), |_| ())?;
+    let row = |name: &str, model: &Hierarchical| -> anyhow::Result<Row> {
+        let mut errors = predictor(model, capture)?.errors(threshold)?;
+        for (_, ln) in errors.ln.iter_mut().enumerate().filter(|e| !held(e.0)) {
+            ln.fill(f64::NAN);
+        }
+        Ok(Row { name: name.into(), errors })
+    };
+    Ok(vec![row("held out", &model)?, row("held out, F and T", &without_kernels(&model))?])
 }
 
 fn predictor<'a>(model: &'a Hierarchical, capture: &'a Capture) -> anyhow::Result<Predictor<'a>> {

@@ -1,12 +1,16 @@
 //! `translume scatter simulate`: virtual captures.
 
+use super::picture;
 use crate::cli::Usage;
 use crate::output::Context;
 use anyhow::anyhow;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use translume_mesh::ReadOptions;
-use translume_scatter::simulate::{CaptureParams, Local, Medium, Procedural, Solid, capture_slab, capture_solid};
+use translume_scatter::relight::{Lighting, Sources};
+use translume_scatter::simulate::{
+    CaptureParams, LitParams, Local, Medium, Procedural, Solid, capture_slab, capture_solid, picture_of_solid,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -26,7 +30,10 @@ Examples:
     translume scatter simulate grid --grid smoke.vol --extinction 4 --albedo 0.98,0.95,0.9 --mesh bunny.ply -o smoke/
 
   The same smoke as cloudiness of a body that scatters everywhere:
-    translume scatter simulate grid --grid smoke.vol --base 1 --extinction 6 --mesh bunny.ply -o cloudy/";
+    translume scatter simulate grid --grid smoke.vol --base 1 --extinction 6 --mesh bunny.ply -o cloudy/
+
+  What models of such a capture are to show: the mesh under lights, by a million photons from them:
+    translume scatter simulate marble --mesh bunny.ply --mesh-size 30 --lights lights.json --photons 1000000 -o truth.exr";
 
 /// Capture a slab or a closed mesh of a heterogeneous medium with a virtual laser and camera
 ///
@@ -93,6 +100,10 @@ pub(super) struct Args {
     /// Photons for each laser position
     #[arg(long, value_name = "N", default_value_t = 4_000)]
     photons: usize,
+    /// How evenly the noise of the walk lies over all distances from the beam, 0 to 1: with 1 faint places are as sure as bright ones, with
+    /// 0.5 a photon costs a tenth and many more can be sent
+    #[arg(long, value_name = "FRACTION", default_value_t = 1.0)]
+    evenness: f64,
     /// Dynamic range of the camera; without it, it has no noise
     #[arg(long, value_name = "DB", default_value_t = 120.0)]
     dynamic_range: f64,
@@ -111,6 +122,9 @@ pub(super) struct Args {
     /// Rig error: deviation of the heights of the mesh
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     geometry_error: f64,
+    /// Show the mesh under these lights instead of capturing it; OUT is then a picture, .exr or .png
+    #[arg(long, value_name = "LIGHTS.json", requires = "mesh")]
+    lights: Option<PathBuf>,
     /// Save the medium as PREFIX-sigma_t.vol and PREFIX-albedo.vol, for `render`
     #[arg(long, value_name = "PREFIX")]
     save_medium: Option<PathBuf>,
@@ -193,6 +207,9 @@ fn params(args: &Args, solid: Option<&Solid>) -> anyhow::Result<CaptureParams> {
     if let Some((name, x)) = errors.into_iter().find(|(_, x)| !(0.0..=100.0).contains(x)) {
         return usage(format!("{name} {x}: it must be 0 or a positive deviation"));
     }
+    if !(0.0..=1.0).contains(&args.evenness) {
+        return usage(format!("--evenness {}: it must lie between 0 and 1", args.evenness));
+    }
     if !(1.0..=4.0).contains(&args.eta) {
         return usage(format!("--eta {}: an index of refraction lies between 1 and 4", args.eta));
     }
@@ -208,6 +225,7 @@ fn params(args: &Args, solid: Option<&Solid>) -> anyhow::Result<CaptureParams> {
         eta: args.eta,
         rough: args.rough,
         photons: args.photons,
+        evenness: args.evenness,
         dynamic_range_db: if args.noise_free { f64::INFINITY } else { args.dynamic_range },
         drift: args.drift,
         misregistration_mm: args.misregistration,
@@ -222,7 +240,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     if args.grid.is_some() != matches!(args.medium, Name::Grid) {
         return Err(Usage("--grid FILE.vol and the medium `grid` go together".into()).into());
     }
-    if args.output.exists() {
+    if args.lights.is_none() && args.output.exists() {
         return Err(anyhow!("{}: it exists; choose another name or remove it", args.output.display()));
     }
     let solid = args.mesh.as_deref().map(|file| load_solid(file, args.mesh_size)).transpose()?;
@@ -230,6 +248,10 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let medium = medium(args, &params, solid.as_ref(), ctx)?;
     if let Some(prefix) = &args.save_medium {
         save_medium(prefix, &medium)?;
+    }
+    if let Some(lights) = &args.lights {
+        let solid = solid.as_ref().expect("clap asks for a mesh");
+        return under_lights(args, lights, (solid, &medium), &params, ctx);
     }
     let parent = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
@@ -258,6 +280,33 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let floors: Vec<f64> = rig.channels.iter().map(|c| c.noise_floor).collect();
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "frames": frames, "positions": positions,
         "noise_floor": floors }))
+}
+
+/// The truth for models of the capture: the same walk, with photons of the lights.
+fn under_lights(
+    args: &Args,
+    lights: &Path,
+    object: (&Solid, &Medium),
+    params: &CaptureParams,
+    ctx: &Context,
+) -> anyhow::Result<()> {
+    picture::check(&args.output)?;
+    let lighting = Lighting::read(lights)?;
+    let sources = Sources::new(&lighting.lights, lights.parent().unwrap_or(Path::new("")))?;
+    let view = &lighting.view;
+    let distance = (0..3).map(|i| (view.eye[i] - view.target[i]).powi(2)).sum::<f64>().sqrt();
+    let lit = LitParams {
+        photons: params.photons,
+        texel_mm: 2.0 * distance * (0.5 * view.fov_deg.to_radians()).tan() / view.width as f64,
+        eta: params.eta,
+        rough: params.rough,
+        seed: params.seed,
+    };
+    let picture = picture_of_solid(object, &sources, view, &lit);
+    let picture = picture.ok_or_else(|| anyhow!("{}: there is no light, or no view", lights.display()))?;
+    picture::write(&args.output, (view.width, view.height), &picture, ctx)?;
+    ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "width": view.width, "height": view.height,
+        "photons": params.photons }))
 }
 
 fn load_solid(file: &Path, size: Option<f64>) -> anyhow::Result<Solid> {

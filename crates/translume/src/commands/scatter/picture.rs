@@ -1,0 +1,38 @@
+//! Pictures of lit objects as files.
+
+use crate::cli::Usage;
+use crate::output::Context;
+use std::path::Path;
+use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
+
+/// Whether a picture can be written there.
+pub(super) fn check(output: &Path) -> anyhow::Result<()> {
+    let extension = output.extension().map(|e| e.to_string_lossy().to_lowercase());
+    if !matches!(extension.as_deref(), Some("exr" | "png")) {
+        return Err(Usage(format!("{}: pictures are written as .exr or .png", output.display())).into());
+    }
+    Ok(atomic::check_writable(output)?)
+}
+
+/// Writes linear RGB; PNG files are for a look.
+pub(super) fn write(output: &Path, size: (usize, usize), picture: &[[f32; 3]], ctx: &Context) -> anyhow::Result<()> {
+    if output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+        // The brightest but for one in a hundred pixels is white.
+        let mut levels: Vec<f32> = picture.iter().flatten().copied().filter(|v| *v > 0.0).collect();
+        levels.sort_by(f32::total_cmp);
+        let white = levels.get(levels.len() * 99 / 100).copied().unwrap_or(1.0);
+        let code =
+            |v: &f32| (translume_image::colour::linear_to_srgb((v / white).clamp(0.0, 1.0)) * 255.0).round() as u8;
+        return Ok(write_png8(output, size, &picture.iter().flatten().map(code).collect::<Vec<_>>())?);
+    }
+    let plane = |c: usize| picture.iter().map(|p| p[c]).collect::<Vec<f32>>();
+    let planes = [plane(0), plane(1), plane(2)];
+    let channels: Vec<(&str, &[f32])> = ["R", "G", "B"].into_iter().zip(planes.iter().map(Vec::as_slice)).collect();
+    let options = ExrOptions {
+        precision: Precision::Float,
+        software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
+        command: Some(ctx.command_line.clone()),
+        ..ExrOptions::default()
+    };
+    Ok(write_exr_channels(output, size, &channels, &options)?)
+}
