@@ -197,7 +197,7 @@ pub(super) struct Arrival {
 }
 
 /// Largest answer of [`Linker::share`]: beyond, little light is lost and much noise spared.
-const MOST_SHARE: f32 = 16.0;
+const MOST_SHARE: f32 = 32.0;
 
 /// Largest footprint over that of the vertex at hand, for [`Linker::share`].
 const MARGIN: f32 = 1.3;
