@@ -199,7 +199,7 @@ fn a_mesh_is_captured_fitted_for_each_vertex_and_reported() {
     let path = dir.join("m/model.json");
     let text = fs::read_to_string(&path).unwrap();
     for (from, to, says) in [
-        ("translume vertex model", "something", "not a model"),
+        ("translume vertex model", "something", "not a translume vertex model"),
         ("\"version\":\"1.1\"", "\"version\":\"2.0\"", "version 2.0"),
         ("\"texels_per_edge\":", "\"texels_per_edge\":9", "do not go"),
         ("\"channels\":[\"red\"", "\"channels\":[\"teal\"", "no channel alpha.teal"),
