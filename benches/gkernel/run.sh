@@ -4,17 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-python=${PYTHON:-python3}
-if ! "$python" -c 'import mitsuba, OpenEXR, matplotlib' 2>/dev/null; then
-    venv=${CARGO_TARGET_DIR:-target}/bench-gkernel
-    python=$venv/bin/python
-    if ! "$python" -c 'import mitsuba, OpenEXR, matplotlib' 2>/dev/null; then
-        echo "setting up $venv" >&2
-        if ! { python3 -m venv "$venv" && "$python" -m pip install --quiet mitsuba OpenEXR matplotlib numpy; }; then
-            echo "skipped: mitsuba, OpenEXR and matplotlib cannot be installed" >&2
-            exit 0
-        fi
-    fi
-fi
+. benches/python.sh
+python_with bench-gkernel 'mitsuba, OpenEXR, matplotlib' mitsuba OpenEXR matplotlib numpy
 cargo build --release --locked
 exec "$python" benches/gkernel/bench.py "$@"

@@ -5,18 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-needs='import cv2, numpy, OpenEXR'
-python=${PYTHON:-python3}
-if ! "$python" -c "$needs" 2>/dev/null; then
-    venv=${CARGO_TARGET_DIR:-target}/bench-hdr
-    python=$venv/bin/python
-    if ! "$python" -c "$needs" 2>/dev/null; then
-        echo "setting up $venv" >&2
-        if ! { python3 -m venv "$venv" && "$python" -m pip install --quiet numpy OpenEXR opencv-python-headless; }; then
-            echo "skipped: numpy, OpenEXR and opencv-python-headless cannot be installed" >&2
-            exit 0
-        fi
-    fi
-fi
+. benches/python.sh
+python_with bench-hdr 'cv2, numpy, OpenEXR' numpy OpenEXR opencv-python-headless
 cargo build --release --locked
 exec "$python" benches/hdr/bench.py "$@"

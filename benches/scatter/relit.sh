@@ -4,18 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-needs='import numpy, OpenEXR, PIL'
-python=${PYTHON:-python3}
-if ! "$python" -c "$needs" 2>/dev/null; then
-    venv=${CARGO_TARGET_DIR:-target}/bench-relit
-    python=$venv/bin/python
-    if ! "$python" -c "$needs" 2>/dev/null; then
-        echo "setting up $venv" >&2
-        if ! { python3 -m venv "$venv" && "$python" -m pip install --quiet numpy OpenEXR pillow; }; then
-            echo "skipped: numpy, OpenEXR and pillow cannot be installed" >&2
-            exit 0
-        fi
-    fi
-fi
+. benches/python.sh
+python_with bench-relit 'numpy, OpenEXR, PIL' numpy OpenEXR pillow
 [ -n "${PROGRAM:-}" ] || cargo build --release --locked
 exec "$python" benches/scatter/relit.py "$@"

@@ -78,6 +78,12 @@ pub enum Density {
 }
 
 impl Density {
+    /// What follows the begin `point` of a light path, by the second density of [`crate::light::Lights::pdf_start`].
+    #[inline]
+    pub fn from_light(point: &LightPoint, next: f32) -> Self {
+        if point.far { Self::Parallel(next) } else { Self::Angle { from: point.p, pdf_w: next } }
+    }
+
     /// Density per area at the place `p` with normal `n` that is reached along `d`.
     #[inline]
     pub fn at(&self, p: Vec3, n: Vec3, d: Vec3) -> f32 {
@@ -302,10 +308,7 @@ pub fn light_path(
     let (choice, u, v) = (sampler.next_1d(), sampler.next_2d(), sampler.next_2d());
     let start = world.lights().start(world.scene(), starts, choice, u, v)?;
     let point = start.point();
-    let density = match point.far {
-        true => Density::Parallel(start.pdf_next()),
-        false => Density::Angle { from: start.p, pdf_w: start.pdf_next() },
-    };
+    let density = Density::from_light(&point, start.pdf_next());
     let walk = Walk { world, mode: Mode::Importance, limits, hide_lights: false };
     let (_, pdf_back) = walk.run((start.ray(), start.throughput(), density), Some(&point), sampler, rays, out);
     Some(LightPath { start, pdf_back })

@@ -21,8 +21,7 @@ use super::{Integrator, Settings, Work};
 use crate::light::{LightPoint, LightSample};
 use crate::splat::Splat;
 use crate::subpath::{self, Density, Escape, LightPath, Limits, Vertex, Walk, scattering};
-use crate::world::MOST_CROSSINGS;
-use crate::world::{Shading, World};
+use crate::world::{MOST_CROSSINGS, Shading, World};
 use crate::{Result, Rgb};
 use glam::Vec3;
 use translume_bxdf::Mode;
@@ -183,8 +182,7 @@ impl Sample<'_, '_> {
         let point = path.start.point();
         for (i, (v, shading)) in self.light.vertices.iter().zip(&self.light.shadings).enumerate() {
             if v.parent == subpath::NONE {
-                let n = self.world.receiving_normal(&v.hit, shading);
-                let pdf = self.world.lights().pdf_direct(v.hit.point.p, n, &point, v.hit.wo);
+                let pdf = self.world.pdf_direct(&v.hit, shading, &point, v.hit.wo);
                 self.direct.push((i as u32, f64::from(pdf) / f64::from(path.start.pdf_begin())));
             }
         }
@@ -269,8 +267,7 @@ impl Sample<'_, '_> {
 
     /// Density of emitter sampling at the camera's vertex number `i` for a point of a light along `wi`.
     fn pdf_direct(&self, v: &Vertex, i: u32, point: &LightPoint, wi: Vec3) -> f32 {
-        let n = self.world.receiving_normal(&v.hit, &self.camera.shadings[i as usize]);
-        self.world.lights().pdf_direct(v.hit.point.p, n, point, wi)
+        self.world.pdf_direct(&v.hit, &self.camera.shadings[i as usize], point, wi)
     }
 
     /// s = 1.
@@ -310,11 +307,10 @@ impl Sample<'_, '_> {
         let distance = (point.p - p).length();
         let direct = f64::from(point.from_solid_angle(sample.pdf_w, wi, distance));
         let (begin, next) = world.lights().pdf_start(world.lights().by_power(), &point, -wi);
-        let density = if point.far { Density::Parallel(next) } else { Density::Angle { from: point.p, pdf_w: next } };
         let from = From {
             at: i,
             ratio: f64::from(begin) / direct,
-            back: density.at(p, v.hit.n(), wi),
+            back: Density::from_light(&point, next).at(p, v.hit.n(), wi),
             parent_back: self.camera.back_to_parent(v, here.pdf_to_camera),
             end: true,
         };

@@ -155,7 +155,7 @@ mod tests {
     use super::*;
     use crate::capture::Surface;
     use crate::hierarchical::{AtlasParams, tests::sphere};
-    use crate::relight::{Light, Part, Relighter, Sight, Sources, sight_samples};
+    use crate::relight::{Light, Part, Relighter, SIGHT, Sight, Sources, sight_samples};
     use glam::Vec2;
     use std::f32::consts::PI;
 
@@ -167,15 +167,7 @@ mod tests {
         let model = Hierarchical::from_transfer(mesh.clone(), 1.0, &params, |_, d| fall_off(d), |_, _| [2.0, 1.0, 0.5]);
         let model = model.unwrap();
         let surface = Surface::new(mesh.clone()).unwrap();
-        let sight = Sight {
-            eye: [0.0, -60.0, 5.0],
-            target: [0.0; 3],
-            up: [0.0, 0.0, 1.0],
-            fov_deg: 24.0,
-            width: 16,
-            height: 12,
-            samples: 1,
-        };
+        let sight = Sight { width: 16, height: 12, ..SIGHT };
         let lights = [Light::Point { position: [20.0, -40.0, 20.0], intensity: [1000.0; 3] }];
         let power = Sources::new(&lights, Path::new("")).unwrap().shine(&surface, &model.atlas, 1.0);
         let picture = Relighter::new(&model, &surface, &sight).unwrap().picture(&power, Part::Whole);

@@ -98,7 +98,7 @@ pub fn fit_planar(capture: &PlanarCapture, params: &PlanarParams, progress: impl
             },
         })
     };
-    let points: Result<Vec<LitPoint>> = capture.spots.par_iter().enumerate().map_init(make, |f, s| one(f, s)).collect();
+    let points: Result<Vec<LitPoint>> = capture.spots.par_iter().enumerate().map_init(make, one).collect();
     let mut model = PlanarModel { points: points?, texture: Vec::new(), texture_samples: Vec::new() };
     modulate(capture, params, &mut model)?;
     Ok(model)

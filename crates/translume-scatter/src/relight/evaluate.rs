@@ -262,14 +262,14 @@ fn curve(positions: &[[f32; 3]]) -> Vec<u32> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::capture::Surface;
     use crate::hierarchical::{AtlasParams, tests::sphere};
     use crate::relight::{Light, Sources};
     use std::path::Path;
 
-    const SIGHT: Sight = Sight {
+    pub(crate) const SIGHT: Sight = Sight {
         eye: [0.0, -60.0, 5.0],
         target: [0.0; 3],
         up: [0.0, 0.0, 1.0],

@@ -19,6 +19,8 @@ mod predict;
 mod vertex;
 
 pub(crate) use evaluate::sight_samples;
+#[cfg(test)]
+pub(crate) use evaluate::tests::SIGHT;
 pub use evaluate::{Part, Relighter};
 pub use irradiance::{Power, Sources};
 pub use lights::{Light, Lighting, Sight};

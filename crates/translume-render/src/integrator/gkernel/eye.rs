@@ -5,8 +5,7 @@
 use super::weight::{Way, Weighing};
 use crate::light::{LightPoint, Starts};
 use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
-use crate::world::MOST_CROSSINGS;
-use crate::world::{Shading, SurfaceHit, World};
+use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
 use translume_bxdf::Mode;
@@ -33,6 +32,16 @@ pub(crate) struct EyeVertex<'a> {
     pub(crate) way: Way,
     /// See [`super::weight`].
     pub(crate) behind: f32,
+}
+
+impl EyeVertex<'_> {
+    /// What may happen nearer to the camera, where the light's walk finds this vertex with density `onto` per area and goes on with
+    /// `pdf_to_camera` per solid angle.
+    #[inline]
+    pub(crate) fn nearer(&self, weighing: &Weighing, onto: f32, pdf_to_camera: f32) -> f32 {
+        let back = pdf_to_camera * self.back;
+        weighing.times(onto / self.pdf, weighing.add(self.way, back, back / self.before, self.behind))
+    }
 }
 
 /// A traced path.
@@ -129,11 +138,8 @@ impl<'a> Eye<'a> {
         let own = samples * per_point(sample.pdf_w);
         let met = if sample.delta { 0.0 } else { self.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
         let (begin, next) = lights.pdf_start(self.starts, &point, -sample.wi);
-        let density = if point.far { Density::Parallel(next) } else { Density::Angle { from: point.p, pdf_w: next } };
-        let onto_y = density.at(p, y.hit.n(), sample.wi);
-        let back = here.pdf_to_camera * y.back;
-        let inner = self.weighing.add(y.way, back, back / y.before, y.behind);
-        let merged = self.weighing.add(Way::Link, onto_y, onto_y / y.pdf, inner);
+        let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
+        let merged = self.weighing.own(Way::Link, onto_y) + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
         let others = met + self.weighing.times(begin / own, merged);
         let cos = y.hit.n().dot(sample.wi).abs();
         visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
@@ -148,9 +154,9 @@ impl<'a> Eye<'a> {
         let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
         let direct = match parent.delta {
             false if self.weighing.emitters => {
-                let n = self.world.receiving_normal(&parent.hit, &self.world.shading(&parent.hit));
                 let samples = emitter_samples(self.world, depth - 1) as f32;
-                samples * self.world.lights().pdf_direct(parent.hit.point.p, n, &point, -v.hit.wo) / v.pdf
+                let shading = self.world.shading(&parent.hit);
+                samples * self.world.pdf_direct(&parent.hit, &shading, &point, -v.hit.wo) / v.pdf
             }
             _ => 0.0,
         };

@@ -262,8 +262,7 @@ impl LightPaths {
         };
         let direct = match parent {
             None if request.weighing.emitters && !v.delta => {
-                let n = request.world.receiving_normal(&v.hit, &request.world.shading(&v.hit));
-                let pdf = request.world.lights().pdf_direct(p, n, &point, wo);
+                let pdf = request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), &point, wo);
                 request.weighing.direct(pdf / light.start.pdf_begin())
             }
             _ => 0.0,

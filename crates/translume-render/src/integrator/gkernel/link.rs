@@ -16,8 +16,7 @@ use super::points::Points;
 use super::weight::{Way, Weighing};
 use crate::light::{End, LightStart, Starts};
 use crate::subpath::{Scattering, scattering};
-use crate::world::MOST_CROSSINGS;
-use crate::world::{Shading, World};
+use crate::world::{MOST_CROSSINGS, Shading, World};
 use crate::{PathSampler, Rgb};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -239,8 +238,7 @@ impl<'a> Linker<'a> {
         }
         let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
         let own = self.weighing.own(Way::Merge, v.pdf);
-        let back = here.pdf_to_camera * y.back;
-        let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
+        let camera = y.nearer(&self.weighing, v.pdf, here.pdf_to_camera);
         let light = self.weighing.times(here.pdf_to_light * v.back, v.behind);
         let weight = own / (own + camera + light);
         let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
@@ -412,8 +410,7 @@ impl<'a> Linker<'a> {
     #[inline]
     pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
         let own = self.weighing.own(v.way, v.pdf);
-        let back = y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI * y.back;
-        let camera = self.weighing.times(v.pdf / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
+        let camera = y.nearer(&self.weighing, v.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
         let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
         own / (own + camera + light)
     }
@@ -423,16 +420,14 @@ impl<'a> Linker<'a> {
         if !self.weighing.emitters {
             return 0.0;
         }
-        let n = self.world.receiving_normal(&y.hit, &y.shading);
         let samples = emitter_samples(self.world, y.depth) as f32;
-        samples * self.world.lights().pdf_direct(y.hit.point.p, n, &start.point(), arrival.wi)
+        samples * self.world.pdf_direct(&y.hit, &y.shading, &start.point(), arrival.wi)
     }
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
         let own = self.weighing.own(Way::Link, onto_y);
-        let back = here.pdf_to_camera * y.back;
-        let camera = self.weighing.times(onto_y / y.pdf, self.weighing.add(y.way, back, back / y.before, y.behind));
+        let camera = y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {
             Parent::Start(start) => {
