@@ -260,14 +260,5 @@ impl<'a> Shader<'a, '_> {
 
 /// The mean luminance of a texture, for choosing among lights.
 pub(crate) fn mean_luminance(scene: &Scene, id: TextureId) -> f32 {
-    use translume_scene::texture::Texture;
-    match &scene.textures[id.0] {
-        Texture::Constant(rgb) | Texture::VertexColor(rgb) => luminance(*rgb),
-        Texture::Checkerboard(b) => 0.5 * (mean_luminance(scene, b.color0) + mean_luminance(scene, b.color1)),
-        Texture::Bitmap(b) => {
-            let raw = b.image.pixels.as_raw();
-            let pixels = raw.chunks_exact(3).map(|p| f64::from(luminance(Rgb::new(p[0], p[1], p[2]) * b.scale)));
-            (pixels.sum::<f64>() / (raw.len() / 3).max(1) as f64) as f32
-        }
-    }
+    luminance(scene.mean(id))
 }

@@ -159,19 +159,26 @@ impl Loader {
         };
         let distance = distance as f32;
         let attenuation = vector3(&volume["attenuationColor"], [1.0; 3]).clamp(Rgb::splat(1e-6), Rgb::ONE);
-        let base = self.builder.scene.constant(base_color).unwrap_or_else(|| {
-            self.warn_once(format!("material {name:?} is translucent; the texture of its base colour is not used"));
-            vector3(&pbr["baseColorFactor"], [1.0; 3])
-        });
-        let colored = [&through["diffuseTransmissionTexture"], &through["diffuseTransmissionColorTexture"]];
-        if colored.iter().any(|t| !t.is_null()) || !scatter["multiscatterColorTexture"].is_null() {
-            self.warn_once(format!("material {name:?} is translucent; textures of its transmission are not used"));
-        }
+        let mut varies = self.builder.scene.constant(base_color).is_none();
+        let base = self.builder.scene.mean(base_color);
+        let mut mean = |texture: &Value, raw: bool, channel: Channel, factor: Rgb| -> Result<Rgb> {
+            let Some(id) = self.bitmap(texture, raw, channel, factor)? else { return Ok(factor) };
+            varies = true;
+            Ok(self.builder.scene.mean(id))
+        };
         let tint = vector3(&through["diffuseTransmissionColorFactor"], [1.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let tint = mean(&through["diffuseTransmissionColorTexture"], false, Channel::Rgb, tint)?;
+        let amount = mean(&through["diffuseTransmissionTexture"], true, Channel::Alpha, Rgb::splat(amount))?.x;
+        let color = vector3(&scatter["multiscatterColor"], [0.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let color = mean(&scatter["multiscatterColorTexture"], false, Channel::Rgb, color)?;
+        if varies {
+            self.warn_once(format!(
+                "material {name:?} is translucent: of its textures the means are used, of its vertex colours none"
+            ));
+        }
         let (inside, path) = match scatter.is_null() {
             true => (tint * attenuation, Rgb::splat(distance)),
             false => {
-                let color = vector3(&scatter["multiscatterColor"], [0.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
                 let g = scatter["scatterAnisotropy"].as_f64().unwrap_or(0.0).clamp(-0.99, 0.99) as f32;
                 let path = Rgb::from(attenuation.to_array().map(|c| distance / -c.min(0.9999).ln()));
                 (tint * color, path / (1.0 - g))
