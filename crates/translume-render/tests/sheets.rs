@@ -7,7 +7,9 @@ mod common;
 
 use common::*;
 use glam::DVec3;
+use translume_bxdf::Rgb;
 use translume_render::integrator;
+use translume_scene::emitter::Emitter;
 use translume_scene::material::{Model, ThinPrincipled};
 use translume_scene::{MaterialId, Scene};
 
@@ -51,6 +53,20 @@ fn paper_passes_the_irradiance_on() {
         let share = if side == eye { 0.3 } else { 0.6 };
         expect_of_all(&format!("lamp at {side}, camera at {eye}"), &m.0, share * 3.0 * 0.64 / 4.0);
     }
+}
+
+/// A point of intensity I, h behind the paper, cannot be met by chance: it shows T/π I/h² only if lights behind are sampled. A second
+/// point on the seen side, too weak to see, gives the choice among lights something to choose.
+#[test]
+fn points_behind_paper_are_sampled() {
+    let mut m = Maker::default();
+    let paper = paper(&mut m, 0.3, 0.6);
+    m.square(4.0, 0.0, paper);
+    for (z, intensity) in [(2.0, 8.0), (-2.0, 1e-3)] {
+        m.0.emitters.push(Emitter::Point { position: DVec3::new(0.0, 0.0, z), intensity: Rgb::splat(intensity) });
+    }
+    m.camera(DVec3::new(3.0, 0.0, -1.0), DVec3::ZERO, 1e-3);
+    expect_of_all("point", &m.0, (0.6 * 8.0 + 0.3 * 1e-3) / (4.0 * std::f64::consts::PI));
 }
 
 /// A lamp of radius a in the middle of a ball of paper of radius 1: inside, E = π L a² / (1 − R (1 − a²)) everywhere, since the paper
