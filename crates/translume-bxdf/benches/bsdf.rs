@@ -8,7 +8,9 @@ use translume_core::{rng::Pcg32, warp};
 
 static COAT: LazyLock<Coat> = LazyLock::new(|| Coat::new(Distribution::Ggx, 0.1, 1.5));
 
-const NAMES: [&str; 9] = [
+static SHEET_COAT: LazyLock<SheetCoat> = LazyLock::new(|| SheetCoat::new(1.5));
+
+const NAMES: [&str; 10] = [
     "diffuse",
     "metal-ggx",
     "metal-beckmann",
@@ -18,6 +20,7 @@ const NAMES: [&str; 9] = [
     "plastic",
     "rough-plastic",
     "principled",
+    "coated-sheet",
 ];
 
 fn model(name: &str) -> Bsdf<'static> {
@@ -31,6 +34,10 @@ fn model(name: &str) -> Bsdf<'static> {
         "plastic" => Bsdf::from(Plastic::default()).two_sided(),
         "rough-plastic" => Bsdf::from(RoughPlastic::new(&COAT)).two_sided(),
         "principled" => Principled { clearcoat: 0.5, ..Default::default() }.into(),
+        "coated-sheet" => {
+            let sheet = DiffuseSheet::default();
+            CoatedSheet { coat: &SHEET_COAT, roughness: 0.4, sheet, metallic: 0.0, metal: Rgb::ZERO }.into()
+        }
         _ if name.starts_with("metal") => {
             RoughConductor { microfacets: facets(name), metal: metal_by_name("Au").expect("gold is known") }.into()
         }

@@ -1,8 +1,8 @@
 //! The BSDF at a shading point: flags, samples, the closed set of models and the adapters over them.
 
 use crate::{
-    Conductor, Dielectric, Diffuse, DiffuseSheet, Entrance, Plastic, Principled, Rgb, RoughConductor, RoughDielectric,
-    RoughPlastic, Skin, ThinDielectric, fresnel,
+    CoatedSheet, Conductor, Dielectric, Diffuse, DiffuseSheet, Entrance, Plastic, Principled, Rgb, RoughConductor,
+    RoughDielectric, RoughPlastic, Skin, ThinDielectric, fresnel,
 };
 use glam::{Vec2, Vec3};
 
@@ -141,6 +141,8 @@ pub enum Model<'a> {
     Diffuse(Diffuse),
     /// See [`DiffuseSheet`].
     DiffuseSheet(DiffuseSheet),
+    /// See [`CoatedSheet`].
+    CoatedSheet(CoatedSheet<'a>),
     /// See [`Conductor`].
     Conductor(Conductor),
     /// See [`RoughConductor`].
@@ -218,6 +220,7 @@ impl<'a> Bsdf<'a> {
             Model::Null | Model::Conductor(_) | Model::Dielectric(_) | Model::ThinDielectric(_) => (Rgb::ZERO, 0.0),
             Model::Diffuse(m) => m.eval_pdf(wo, wi),
             Model::DiffuseSheet(m) => m.eval_pdf(wo, wi),
+            Model::CoatedSheet(m) => m.eval_pdf(wo, wi),
             Model::RoughConductor(m) => m.eval_pdf(wo, wi),
             Model::RoughDielectric(m) => m.eval_pdf(wo, wi, mode),
             Model::Plastic(m) => m.eval_pdf(wo, wi),
@@ -247,6 +250,7 @@ impl<'a> Bsdf<'a> {
             Model::Null => Some(Sample::pass_through(wo, Rgb::ONE, 1.0)),
             Model::Diffuse(m) => m.sample(wo, u),
             Model::DiffuseSheet(m) => m.sample(wo, u_lobe, u),
+            Model::CoatedSheet(m) => m.sample(wo, u_lobe, u),
             Model::Conductor(m) => m.sample(wo),
             Model::RoughConductor(m) => m.sample(wo, u),
             Model::Dielectric(m) => m.sample(wo, u_lobe, mode),
@@ -275,6 +279,7 @@ impl<'a> Bsdf<'a> {
             Model::Null => null,
             Model::Diffuse(_) => Diffuse::FLAGS,
             Model::DiffuseSheet(_) => DiffuseSheet::FLAGS,
+            Model::CoatedSheet(_) => CoatedSheet::FLAGS,
             Model::Conductor(_) => Conductor::FLAGS,
             Model::RoughConductor(_) => RoughConductor::FLAGS,
             Model::Dielectric(_) => Dielectric::FLAGS,
@@ -309,6 +314,7 @@ impl<'a> Bsdf<'a> {
             Model::Null => Rgb::ONE,
             Model::Diffuse(m) => m.reflectance,
             Model::DiffuseSheet(m) => m.reflectance + m.transmittance,
+            Model::CoatedSheet(m) => m.albedo(),
             Model::Conductor(m) => m.fresnel(1.0),
             Model::RoughConductor(m) => m.metal.fresnel(1.0),
             Model::Dielectric(m) => mix_by_fresnel(m.eta, m.specular_reflectance, m.specular_transmittance),
@@ -339,7 +345,7 @@ macro_rules! bsdf_from {
 bsdf_from!(Diffuse: Diffuse, DiffuseSheet: DiffuseSheet, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
 bsdf_from!(ThinDielectric: ThinDielectric, RoughDielectric: RoughDielectric, Plastic: Plastic);
 bsdf_from!(RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
-bsdf_from!(Skin: Skin<'a>, Entrance: Entrance<'a>);
+bsdf_from!(CoatedSheet: CoatedSheet<'a>, Skin: Skin<'a>, Entrance: Entrance<'a>);
 
 impl Blend<'_> {
     fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {

@@ -20,6 +20,7 @@
 
 mod bsdf;
 pub mod bssrdf;
+mod coated_sheet;
 mod conductor;
 mod dielectric;
 mod diffuse;
@@ -39,6 +40,7 @@ mod skin;
 
 pub use bsdf::{Blend, Bsdf, Custom, CustomBsdf, Flags, Mode, Model, Sample};
 pub use bssrdf::Bssrdf;
+pub use coated_sheet::{CoatedSheet, SheetCoat};
 pub use conductor::{Conductor, RoughConductor};
 pub use dielectric::{Dielectric, ThinDielectric};
 pub use diffuse::{Diffuse, DiffuseSheet};

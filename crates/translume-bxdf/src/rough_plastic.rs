@@ -75,7 +75,7 @@ impl Coat {
 
 /// Fraction of light from the cosine `cos` that microfacets of relative index `eta` reflect (or let through): the weights of
 /// visible-normal sampling averaged over the unit square.
-fn transported(microfacets: &Microfacets, cos: f32, eta: f32, rule: &[(f32, f32)], reflected: bool) -> f32 {
+pub(crate) fn transported(microfacets: &Microfacets, cos: f32, eta: f32, rule: &[(f32, f32)], reflected: bool) -> f32 {
     let wo = Vec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
     let mut sum = 0.0;
     for &(x, weight_x) in rule {

@@ -7,9 +7,11 @@ use crate::texture::{self, Place};
 use crate::world::{SurfaceHit, Translucent};
 use crate::{Rgb, luminance};
 use glam::Vec3;
+use std::collections::HashMap;
+use std::sync::Arc;
 use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
 use translume_core::frame::Frame;
-use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness, Subsurface};
+use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness, Subsurface, ThinPrincipled};
 use translume_scene::{MaterialId, Scene, TextureId};
 
 /// What is tabulated once per material.
@@ -17,13 +19,19 @@ pub(crate) enum Prepared {
     Nothing,
     Plastic(bxdf::Plastic),
     Coat(Box<bxdf::Coat>),
+    SheetCoat(Arc<bxdf::SheetCoat>),
 }
 
 pub(crate) fn prepare(scene: &Scene) -> Vec<Prepared> {
+    let mut coats: HashMap<u32, Arc<bxdf::SheetCoat>> = HashMap::new();
     let one = |m: &translume_scene::material::Material| match &m.model {
         Model::Plastic(p) => Prepared::Plastic(bxdf::Plastic::new(p.eta, Rgb::ZERO, Rgb::ONE, p.nonlinear)),
         Model::RoughPlastic { plastic, distribution, alpha } => {
             Prepared::Coat(Box::new(bxdf::Coat::new(*distribution, *alpha, plastic.eta)))
+        }
+        Model::ThinPrincipled(p) if p.eta > 1.0 => {
+            let coat = coats.entry(p.eta.to_bits()).or_insert_with(|| Arc::new(bxdf::SheetCoat::new(p.eta)));
+            Prepared::SheetCoat(coat.clone())
         }
         Model::Subsurface(s) => match s.roughness {
             Some((distribution, alpha)) => Prepared::Coat(Box::new(bxdf::Coat::new(distribution, alpha, s.eta))),
@@ -41,6 +49,8 @@ pub(crate) fn passes(scene: &Scene, id: MaterialId) -> (bool, bool) {
         Model::Null | Model::ThinDielectric(_) => (true, true),
         Model::Dielectric(_) | Model::RoughDielectric { .. } => (false, true),
         Model::Principled(p) => (false, scene.constant(p.spec_trans) != Some(Rgb::ZERO)),
+        Model::DiffuseTransmission { transmittance: id, .. } => (false, scene.constant(*id) != Some(Rgb::ZERO)),
+        Model::ThinPrincipled(p) => (false, scene.constant(p.diff_trans) != Some(Rgb::ZERO)),
         Model::TwoSided { front, back } => both(passes(scene, *front), passes(scene, *back)),
         Model::Mask { opacity, nested } => {
             let open = scene.constant(*opacity) != Some(Rgb::ONE);
@@ -96,6 +106,11 @@ impl<'a> Shader<'a, '_> {
         match &self.scene.materials[id.0].model {
             Model::Null => Bsdf::new(bxdf::Model::Null),
             Model::Diffuse { reflectance } => bxdf::Diffuse { reflectance: self.unit(*reflectance) }.into(),
+            Model::DiffuseTransmission { reflectance, transmittance } => {
+                let (r, t) = (self.unit(*reflectance), self.unit(*transmittance));
+                let excess = (r + t).max_element().max(1.0);
+                bxdf::DiffuseSheet { reflectance: r / excess, transmittance: t / excess }.into()
+            }
             Model::Dielectric(d) => {
                 let (eta, specular_reflectance, specular_transmittance) = self.glass(d);
                 bxdf::Dielectric { eta, specular_reflectance, specular_transmittance }.into()
@@ -131,6 +146,7 @@ impl<'a> Shader<'a, '_> {
                 .into()
             }
             Model::Principled(p) => self.principled(p).into(),
+            Model::ThinPrincipled(p) => self.thin_principled(id, p),
             Model::Measured(model) => bxdf::Custom { model: &**model, uv: self.place.uv }.into(),
             Model::Subsurface(s) => self.skin(id, s),
             Model::TwoSided { front, back } => {
@@ -213,6 +229,18 @@ impl<'a> Shader<'a, '_> {
         }
     }
 
+    fn thin_principled(&self, id: MaterialId, p: &ThinPrincipled) -> Bsdf<'a> {
+        let number = |id: TextureId| self.number(id).clamp(0.0, 1.0);
+        let (base, through) = (self.unit(p.base_color), number(p.diff_trans));
+        let sheet = bxdf::DiffuseSheet {
+            reflectance: base * (1.0 - through),
+            transmittance: self.unit(p.transmission_color) * through,
+        };
+        let Prepared::SheetCoat(coat) = &self.prepared[id.0] else { return sheet.into() };
+        let (roughness, metallic) = (number(p.roughness), number(p.metallic));
+        bxdf::CoatedSheet { coat, roughness, sheet, metallic, metal: base }.into()
+    }
+
     /// Bends the frame to the height field of this gradient (by u and v).
     fn bump(&mut self, gradient: glam::Vec2) {
         let n = self.frame.n;
@@ -232,14 +260,5 @@ impl<'a> Shader<'a, '_> {
 
 /// The mean luminance of a texture, for choosing among lights.
 pub(crate) fn mean_luminance(scene: &Scene, id: TextureId) -> f32 {
-    use translume_scene::texture::Texture;
-    match &scene.textures[id.0] {
-        Texture::Constant(rgb) | Texture::VertexColor(rgb) => luminance(*rgb),
-        Texture::Checkerboard(b) => 0.5 * (mean_luminance(scene, b.color0) + mean_luminance(scene, b.color1)),
-        Texture::Bitmap(b) => {
-            let raw = b.image.pixels.as_raw();
-            let pixels = raw.chunks_exact(3).map(|p| f64::from(luminance(Rgb::new(p[0], p[1], p[2]) * b.scale)));
-            (pixels.sum::<f64>() / (raw.len() / 3).max(1) as f64) as f32
-        }
-    }
+    luminance(scene.mean(id))
 }

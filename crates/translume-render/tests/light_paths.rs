@@ -19,7 +19,7 @@ use translume_render::splat::Splat;
 use translume_render::subpath::{self, Limits};
 use translume_render::{World, integrator};
 use translume_scene::emitter::{Emitter, Falloff, Spot};
-use translume_scene::material::{Conductor, Dielectric, Model, Roughness};
+use translume_scene::material::{Conductor, Dielectric, Model, Roughness, ThinPrincipled};
 use translume_scene::sensor::{Projection, Sensor};
 use translume_scene::texture::{Bitmap, Channel, Filter, Texture, Wrap};
 use translume_scene::{Geometry, MaterialId, Scene, TextureId};
@@ -293,6 +293,17 @@ fn made_of(kind: &str) -> Scene {
             roughness: Roughness { distribution: Distribution::Ggx, alpha_u: rough, alpha_v: rough },
         },
         "mask" => Model::Mask { opacity: rough, nested: m.diffuse(0.8) },
+        "leaf" => {
+            let [color, through, roughness, metallic] = [0.7, 0.6, 0.4, 0.1].map(|v| m.gray(v));
+            Model::ThinPrincipled(Box::new(ThinPrincipled {
+                base_color: color,
+                transmission_color: color,
+                diff_trans: through,
+                eta: 1.5,
+                roughness,
+                metallic,
+            }))
+        }
         "two-sided bump" => {
             let front = m.diffuse(0.8);
             let back = m.diffuse(0.3);
@@ -322,7 +333,7 @@ fn all_strategies_together_agree_with_path_for_every_emitter() {
 
 #[test]
 fn all_strategies_together_agree_with_path_for_materials_and_cameras() {
-    for kind in ["glass", "rough glass", "mask", "two-sided bump", "metal"] {
+    for kind in ["glass", "rough glass", "mask", "leaf", "two-sided bump", "metal"] {
         agree(kind, &made_of(kind), UNLIMITED, &Bdpt::new(UNLIMITED), 2048, 1024);
     }
     agree("smooth normals", &coarse_ball(), UNLIMITED, &Bdpt::new(UNLIMITED), 1024, 512);

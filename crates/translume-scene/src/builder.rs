@@ -2,7 +2,7 @@
 
 use crate::check;
 use crate::scene::{LoadOptions, MaterialId, Scene, TextureId};
-use crate::texture::Texture;
+use crate::texture::{Bitmap, Checkerboard, Texture};
 use crate::{Error, Result, material, rgl, vol};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -89,6 +89,22 @@ impl Builder {
     pub(crate) fn texture(&mut self, texture: Texture) -> TextureId {
         self.scene.textures.push(texture);
         TextureId(self.scene.textures.len() - 1)
+    }
+
+    /// The texture `id` times `factor`.
+    pub(crate) fn scaled(&mut self, id: TextureId, factor: Rgb) -> TextureId {
+        let scaled = match self.scene.textures[id.0].clone() {
+            _ if factor == Rgb::ONE => return id,
+            Texture::Constant(rgb) => return self.constant(rgb * factor),
+            Texture::VertexColor(rgb) => Texture::VertexColor(rgb * factor),
+            Texture::Bitmap(b) => Texture::Bitmap(Bitmap { scale: b.scale * factor, ..b }),
+            Texture::Checkerboard(b) => Texture::Checkerboard(Checkerboard {
+                color0: self.scaled(b.color0, factor),
+                color1: self.scaled(b.color1, factor),
+                ..b
+            }),
+        };
+        self.texture(scaled)
     }
 
     pub(crate) fn material(&mut self, name: &str, model: material::Model) -> MaterialId {

@@ -26,6 +26,13 @@ pub enum Model {
         /// Fraction reflected.
         reflectance: TextureId,
     },
+    /// Lambert's on both sides of a thin sheet that lets light through: paper, a leaf, a lampshade.
+    DiffuseTransmission {
+        /// Fraction reflected. Where this and `transmittance` exceed 1 together they are taken by less.
+        reflectance: TextureId,
+        /// Fraction transmitted.
+        transmittance: TextureId,
+    },
     /// Smooth glass.
     Dielectric(Dielectric),
     /// A sheet of glass too thin to refract.
@@ -59,6 +66,8 @@ pub enum Model {
     },
     /// Disney's principled model.
     Principled(Box<Principled>),
+    /// A thin sheet that transmits diffusely, under a clear coat on both sides.
+    ThinPrincipled(Box<ThinPrincipled>),
     /// A measured reflectance.
     Measured(Arc<dyn CustomBsdf>),
     /// A translucent object: light comes out elsewhere than it went in.
@@ -179,6 +188,23 @@ pub struct Principled {
     pub clearcoat: TextureId,
     /// Its gloss.
     pub clearcoat_gloss: TextureId,
+}
+
+/// Parameters of [`Model::ThinPrincipled`]; ranges 0–1 unless stated.
+#[derive(Clone, Copy, Debug)]
+pub struct ThinPrincipled {
+    /// Colour of what is reflected diffusely, and by the metal.
+    pub base_color: TextureId,
+    /// Colour of what is transmitted.
+    pub transmission_color: TextureId,
+    /// How much of the diffuse light is transmitted instead of reflected.
+    pub diff_trans: TextureId,
+    /// Index of refraction of the coat over that of the air, from 1: no coat.
+    pub eta: f32,
+    /// Roughness of the coat and the metal; microfacets have its square.
+    pub roughness: TextureId,
+    /// How much of an opaque metal.
+    pub metallic: TextureId,
 }
 
 /// Parameters of [`Model::Subsurface`].

@@ -4,7 +4,7 @@ use crate::emitter::Emitter;
 use crate::material::Material;
 use crate::medium::{Medium, Volume};
 use crate::sensor::Sensor;
-use crate::texture::Texture;
+use crate::texture::{Channel, Texture};
 use glam::{DAffine3, DVec3};
 use std::sync::Arc;
 use translume_bxdf::{Bssrdf, Rgb};
@@ -160,6 +160,29 @@ impl Scene {
         match &self.textures[texture.0] {
             Texture::Constant(rgb) => Some(*rgb),
             _ => None,
+        }
+    }
+
+    /// The mean of the texture over its picture; of vertex colours the factor on them.
+    pub fn mean(&self, texture: TextureId) -> Rgb {
+        match &self.textures[texture.0] {
+            Texture::Constant(rgb) | Texture::VertexColor(rgb) => *rgb,
+            Texture::Checkerboard(board) => 0.5 * (self.mean(board.color0) + self.mean(board.color1)),
+            Texture::Bitmap(b) => {
+                let mean = |values: &mut dyn Iterator<Item = f32>| {
+                    let (sum, n) = values.fold((0.0, 0u64), |(sum, n), v| (sum + f64::from(v), n + 1));
+                    (sum / n.max(1) as f64) as f32
+                };
+                let of = |c: usize| mean(&mut b.image.pixels.as_raw().iter().skip(c).step_by(3).copied());
+                let value = match b.channel {
+                    Channel::Rgb => Rgb::new(of(0), of(1), of(2)),
+                    Channel::Red => Rgb::splat(of(0)),
+                    Channel::Green => Rgb::splat(of(1)),
+                    Channel::Blue => Rgb::splat(of(2)),
+                    Channel::Alpha => Rgb::splat(b.image.alpha.as_ref().map_or(1.0, |a| mean(&mut a.iter().copied()))),
+                };
+                value * b.scale
+            }
         }
     }
 

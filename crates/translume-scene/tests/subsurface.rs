@@ -139,6 +139,10 @@ fn what_is_measured_comes_from_the_loader() {
     assert!(load(&file, &failing).unwrap_err().to_string().contains("a broken model"));
 }
 
+/// A white pixel, and one without red and alpha.
+const TWO_PIXELS: &str =
+    "iVBORw0KGgoAAAANSUhEUgAAAAIAAAABCAYAAAD0In+KAAAADklEQVR42mP4DwQMQAQAHuoF+84UYIkAAAAASUVORK5CYII=";
+
 /// A triangle whose material has these extensions.
 fn gltf(extensions: &str) -> translume_scene::Result<Scene> {
     let folder = Folder::new();
@@ -150,6 +154,7 @@ fn gltf(extensions: &str) -> translume_scene::Result<Scene> {
         "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}}, "material": 0}}]}}],
         "materials": [{{"pbrMetallicRoughness": {{"baseColorFactor": [0.2, 0.4, 0.6, 1], "roughnessFactor": 0.5}},
             "extensions": {{"KHR_materials_ior": {{"ior": 1.4}}, {extensions}}}}}],
+        "textures": [{{"source": 0}}], "images": [{{"uri": "data:image/png;base64,{TWO_PIXELS}"}}],
         "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}}],
         "bufferViews": [{{"buffer": 0, "byteLength": 36}}], "buffers": [{{"uri": "t.bin", "byteLength": 36}}]}}"#
     );
@@ -177,6 +182,10 @@ fn volumes_of_gltf_that_light_enters_diffusely() {
     like(&made(scatter), Rgb::new(0.8, 0.6, 0.4), path);
     // No medium is made of the volume as well.
     assert!(gltf(&format!("{VOLUME}, {diffuse}")).unwrap().media.is_empty());
+    // Of pictures the means: half of the red, and half of the amount.
+    let texture = r#""diffuseTransmissionColorTexture": {"index": 0}, "diffuseTransmissionTexture": {"index": 0}"#;
+    let textured = diffuse.replace("0.5, \"d", &format!("1, {texture}, \"d"));
+    like(&made(&textured), 0.5 * Rgb::new(0.2, 0.4, 0.6) + 0.5 * Rgb::new(0.45, 0.4, 0.15), Rgb::splat(0.02));
     // Without a volume, or without any light through, it is the material that it would be anyway.
     for opaque in [diffuse.to_owned(), format!("{VOLUME}, {}", diffuse.replace("0.5, \"d", "0, \"d"))] {
         let scene = gltf(&opaque).unwrap();

@@ -1,11 +1,11 @@
 //! glTF materials as Mitsuba's principled BSDF and its neighbours.
 //!
 //! Transmission without thickness is a thin sheet, with thickness a solid whose absorption is a medium inside. Alpha is a
-//! mask; with a cutoff its picture is thresholded before filtering. Diffuse transmission into a volume, and volumes that scatter (a
-//! draft), are translucent: see [`Loader::translucent`].
+//! mask; with a cutoff its picture is thresholded before filtering. Diffuse transmission is a sheet, see [`Loader::sheet`]; into a
+//! volume it is translucent, as volumes that scatter (a draft) are: see [`Loader::translucent`].
 
 use super::{Dress, Loader, index_of, vector3};
-use crate::material::{Dielectric, Model, Principled, Subsurface};
+use crate::material::{Dielectric, Model, Principled, Subsurface, ThinPrincipled};
 use crate::medium::{Medium, Volume};
 use crate::scene::{MaterialId, MediumId, TextureId};
 use crate::texture::{Bitmap, Channel, Filter, Texture, Wrap};
@@ -65,12 +65,17 @@ impl Loader {
         let model = if is_unlit {
             self.warn_once(format!("material {name:?} is unlit; it is taken as diffuse"));
             Model::Diffuse { reflectance: base_color }
+        } else if !old.is_null() {
+            if !extensions["KHR_materials_diffuse_transmission"].is_null() {
+                self.warn_once(format!(
+                    "material {name:?} has specular glossiness, which no diffuse transmission goes with"
+                ));
+            }
+            self.specular_glossiness(old, base_color)
         } else if let Some(model) = self.translucent(extensions, pbr, base_color, name)? {
             model
-        } else if old.is_null() {
-            self.metal_or_not(pbr, extensions, base_color)?
         } else {
-            self.specular_glossiness(old, base_color)
+            self.metal_or_not(pbr, extensions, base_color)?
         };
         let opaque = self.transmitting(source, model, base_color, name)?;
         let bumped = self.bumped(source, name, opaque)?;
@@ -138,28 +143,42 @@ impl Loader {
         let distance = volume["attenuationDistance"].as_f64().filter(|d| *d > 0.0 && d.is_finite());
         let solid = volume["thicknessFactor"].as_f64().unwrap_or(0.0) > 0.0;
         let Some(distance) = distance.filter(|_| solid && amount > 0.0) else {
-            if amount > 0.0 {
-                let what =
-                    "lets light through diffusely without a volume of an attenuation distance; it is taken as opaque";
-                self.warn_once(format!("material {name:?} {what}"));
-            }
-            return Ok(None);
+            return match () {
+                () if amount == 0.0 => Ok(None),
+                () if through.is_null() => {
+                    let what = "scatters in a volume without an attenuation distance; it is taken as opaque";
+                    self.warn_once(format!("material {name:?} {what}"));
+                    Ok(None)
+                }
+                // Of a solid, clear transmission takes the place of diffuse transmission.
+                () if solid && extensions["KHR_materials_transmission"]["transmissionFactor"].as_f64() > Some(0.0) => {
+                    Ok(None)
+                }
+                () => self.sheet(extensions, pbr, base_color, name).map(Some),
+            };
         };
         let distance = distance as f32;
         let attenuation = vector3(&volume["attenuationColor"], [1.0; 3]).clamp(Rgb::splat(1e-6), Rgb::ONE);
-        let base = self.builder.scene.constant(base_color).unwrap_or_else(|| {
-            self.warn_once(format!("material {name:?} is translucent; the texture of its base colour is not used"));
-            vector3(&pbr["baseColorFactor"], [1.0; 3])
-        });
-        let colored = [&through["diffuseTransmissionTexture"], &through["diffuseTransmissionColorTexture"]];
-        if colored.iter().any(|t| !t.is_null()) || !scatter["multiscatterColorTexture"].is_null() {
-            self.warn_once(format!("material {name:?} is translucent; textures of its transmission are not used"));
-        }
+        let mut varies = self.builder.scene.constant(base_color).is_none();
+        let base = self.builder.scene.mean(base_color);
+        let mut mean = |texture: &Value, raw: bool, channel: Channel, factor: Rgb| -> Result<Rgb> {
+            let Some(id) = self.bitmap(texture, raw, channel, factor)? else { return Ok(factor) };
+            varies = true;
+            Ok(self.builder.scene.mean(id))
+        };
         let tint = vector3(&through["diffuseTransmissionColorFactor"], [1.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let tint = mean(&through["diffuseTransmissionColorTexture"], false, Channel::Rgb, tint)?;
+        let amount = mean(&through["diffuseTransmissionTexture"], true, Channel::Alpha, Rgb::splat(amount))?.x;
+        let color = vector3(&scatter["multiscatterColor"], [0.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let color = mean(&scatter["multiscatterColorTexture"], false, Channel::Rgb, color)?;
+        if varies {
+            self.warn_once(format!(
+                "material {name:?} is translucent: of its textures the means are used, of its vertex colours none"
+            ));
+        }
         let (inside, path) = match scatter.is_null() {
             true => (tint * attenuation, Rgb::splat(distance)),
             false => {
-                let color = vector3(&scatter["multiscatterColor"], [0.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
                 let g = scatter["scatterAnisotropy"].as_f64().unwrap_or(0.0).clamp(-0.99, 0.99) as f32;
                 let path = Rgb::from(attenuation.to_array().map(|c| distance / -c.min(0.9999).ln()));
                 (tint * color, path / (1.0 - g))
@@ -178,6 +197,30 @@ impl Loader {
             roughness: (rough > 0.03).then_some((Distribution::Ggx, rough * rough)),
             specular_reflectance: self.builder.constant(Rgb::ONE),
         }))))
+    }
+
+    /// `KHR_materials_diffuse_transmission` of what is not a volume that attenuates: a sheet that light goes through where it is, the
+    /// coat of the metallic-roughness model on both its sides.
+    fn sheet(&mut self, extensions: &Value, pbr: &Value, base_color: TextureId, name: &str) -> Result<Model> {
+        let Model::Principled(p) = self.metal_or_not(pbr, extensions, base_color)? else {
+            return Err(self.invalid(format!("material {name:?} has no metallic-roughness model")));
+        };
+        if self.builder.scene.constant(p.clearcoat) != Some(Rgb::ZERO) {
+            self.warn_once(format!("material {name:?} lets light through diffusely; its clear coat is not used"));
+        }
+        let through = &extensions["KHR_materials_diffuse_transmission"];
+        let amount = through["diffuseTransmissionFactor"].as_f64().unwrap_or(0.0).clamp(0.0, 1.0) as f32;
+        let color = vector3(&through["diffuseTransmissionColorFactor"], [1.0; 3]).clamp(Rgb::ZERO, Rgb::ONE);
+        let amounts = self.bitmap(&through["diffuseTransmissionTexture"], true, Channel::Alpha, Rgb::splat(amount))?;
+        let colors = self.bitmap(&through["diffuseTransmissionColorTexture"], false, Channel::Rgb, color)?;
+        Ok(Model::ThinPrincipled(Box::new(ThinPrincipled {
+            base_color,
+            transmission_color: colors.unwrap_or_else(|| self.builder.constant(color)),
+            diff_trans: amounts.unwrap_or_else(|| self.builder.constant(Rgb::splat(amount))),
+            eta: p.eta,
+            roughness: p.roughness,
+            metallic: p.metallic,
+        })))
     }
 
     fn specular_glossiness(&mut self, old: &Value, base_color: TextureId) -> Model {
@@ -211,9 +254,13 @@ impl Loader {
         if amount > 0.0 && solid || translucent {
             return Ok(first); // inside and outside differ
         }
-        let two_sided = self.builder.material(name, Model::TwoSided { front: first, back: first });
+        // A sheet knows no sides.
+        let both = match self.builder.scene.materials[first.0].model {
+            Model::ThinPrincipled(_) => first,
+            _ => self.builder.material(name, Model::TwoSided { front: first, back: first }),
+        };
         if amount == 0.0 {
-            return Ok(two_sided);
+            return Ok(both);
         }
         let weight = match self.bitmap(&through["transmissionTexture"], true, Channel::Red, Rgb::splat(amount))? {
             Some(id) => id,
@@ -226,7 +273,7 @@ impl Loader {
             specular_transmittance: base_color,
         });
         let second = self.builder.material(name, sheet);
-        Ok(self.builder.material(name, Model::Blend { weight, first: two_sided, second }))
+        Ok(self.builder.material(name, Model::Blend { weight, first: both, second }))
     }
 
     fn bumped(&mut self, source: &Value, name: &str, nested: MaterialId) -> Result<MaterialId> {

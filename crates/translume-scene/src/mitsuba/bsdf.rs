@@ -3,7 +3,7 @@
 use super::Loader;
 use super::object::{Object, Value};
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, Plastic, Principled, Roughness};
+use crate::material::{Conductor, Dielectric, Model, Plastic, Principled, Roughness, ThinPrincipled};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use std::rc::Rc;
@@ -45,6 +45,10 @@ impl Loader {
                 }
                 Model::Diffuse { reflectance: self.albedo(object, "reflectance", 0.5)? }
             }
+            "difftrans" => Model::DiffuseTransmission {
+                reflectance: self.builder.constant(Rgb::ZERO),
+                transmittance: self.albedo(object, "transmittance", 0.5)?,
+            },
             "dielectric" => Model::Dielectric(self.dielectric(object, BK7)?),
             "thindielectric" => Model::ThinDielectric(self.dielectric(object, BK7)?),
             "roughdielectric" => {
@@ -57,6 +61,7 @@ impl Loader {
             "plastic" => Model::Plastic(self.plastic(object)?),
             "roughplastic" => self.rough_plastic(object)?,
             "principled" => self.principled(object)?,
+            "principledthin" => self.principled_thin(object)?,
             "measured" => {
                 let path = self.file(object, "filename")?;
                 self.builder.measured(&path).map_err(|e| e.at(&object.place.file, object.place.line))?
@@ -229,6 +234,49 @@ impl Loader {
             clearcoat_gloss: factor("clearcoat_gloss", 0.0)?,
             base_color: self.albedo(object, "base_color", 0.5)?,
         })))
+    }
+
+    /// Its diffuse part is ours, without coat; what its specular part does to light is taken as smooth and colourless glass.
+    fn principled_thin(&mut self, object: &Rc<Object>) -> Result<Model> {
+        let base_color = self.albedo(object, "base_color", 0.5)?;
+        let diff_trans = self.texture(object, "diff_trans", 0.0, FACTOR)?;
+        let spec_trans = self.texture(object, "spec_trans", 0.0, FACTOR)?;
+        let eta = object.number("eta")?.unwrap_or(1.5);
+        if eta <= 1.0 {
+            return Err(object.place.invalid("\"eta\" of a principledthin BSDF is not above 1"));
+        }
+        let none = self.builder.constant(Rgb::ZERO);
+        let sheet = Model::ThinPrincipled(Box::new(ThinPrincipled {
+            base_color,
+            transmission_color: base_color,
+            diff_trans: self.builder.scaled(diff_trans, Rgb::splat(0.5)), // 2 is all of it
+            eta: 1.0,
+            roughness: none,
+            metallic: none,
+        }));
+        let is_clear = self.builder.scene.constant(spec_trans) != Some(Rgb::ZERO);
+        let clear = ["roughness", "anisotropic", "spec_tint"];
+        let mut unread = Vec::new();
+        for name in [&clear[..], &["sheen", "sheen_tint", "flatness"]].concat() {
+            let factor = self.texture(object, name, if name == "roughness" { 0.5 } else { 0.0 }, FACTOR)?;
+            if self.builder.scene.constant(factor) != Some(Rgb::ZERO) && (is_clear || !clear.contains(&name)) {
+                unread.push(name);
+            }
+        }
+        if !unread.is_empty() {
+            let what = format!("{} is taken without its {}", object.title(), unread.join(", "));
+            self.builder.warn(object.place.warning(what));
+        }
+        if !is_clear {
+            return Ok(sheet);
+        }
+        let glass = Model::ThinDielectric(Dielectric {
+            eta: eta as f32,
+            specular_reflectance: self.builder.constant(Rgb::ONE),
+            specular_transmittance: base_color,
+        });
+        let (first, second) = (self.builder.material("", sheet), self.builder.material("", glass));
+        Ok(Model::Blend { weight: spec_trans, first, second })
     }
 
     /// Lobes of Mitsuba 0.6 that have no twin here: the rough coat of about the same width over the same base.

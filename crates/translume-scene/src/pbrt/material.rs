@@ -28,6 +28,7 @@ impl Loader {
         let (model, two_sided) = match kind {
             "interface" | "" | "none" => (Model::Null, false),
             "diffuse" => (Model::Diffuse { reflectance: self.given(p, "reflectance", 0.5)? }, true),
+            "diffusetransmission" => (self.diffuse_transmission(p)?, false),
             "conductor" => (self.conductor(p)?, true),
             "dielectric" => (self.dielectric(p)?, false),
             "thindielectric" => (Model::ThinDielectric(self.glass(p)?), false),
@@ -88,6 +89,15 @@ impl Loader {
         let smooth = |id| self.builder.scene.constant(id).is_some_and(|a| a.x < 1e-3);
         let rough = !(smooth(alpha_u) && smooth(alpha_v));
         Ok(rough.then_some(Roughness { distribution: Distribution::Ggx, alpha_u, alpha_v }))
+    }
+
+    fn diffuse_transmission(&mut self, p: &Parameters) -> Result<Model> {
+        let scale = Rgb::splat(p.number("scale", 1.0)? as f32);
+        let (r, t) = (self.given(p, "reflectance", 0.25)?, self.given(p, "transmittance", 0.25)?);
+        Ok(Model::DiffuseTransmission {
+            reflectance: self.builder.scaled(r, scale),
+            transmittance: self.builder.scaled(t, scale),
+        })
     }
 
     fn conductor(&mut self, p: &Parameters) -> Result<Model> {
@@ -260,12 +270,9 @@ impl Loader {
             "scale" => {
                 let inner = self.given(p, "tex", 1.0)?;
                 let factor = self.given(p, "scale", 1.0)?;
-                match (self.builder.scene.textures[inner.0].clone(), self.builder.scene.constant(factor)) {
-                    (Texture::Constant(rgb), Some(f)) => Ok(self.builder.constant(rgb * f)),
-                    (Texture::Bitmap(b), Some(f)) => {
-                        Ok(self.builder.texture(Texture::Bitmap(Bitmap { scale: b.scale * f, ..b })))
-                    }
-                    _ => Err(p.place.unsupported("\"scale\" works on images and constants, by a constant")),
+                match self.builder.scene.constant(factor) {
+                    Some(f) => Ok(self.builder.scaled(inner, f)),
+                    None => Err(p.place.unsupported("\"scale\" of a texture is a constant")),
                 }
             }
             "checkerboard" if p.integer("dimension", 2)? == 2 => {

@@ -66,6 +66,15 @@ pub(crate) fn check(scene: &Scene) {
         let before = |id: MaterialId| assert!(id.0 < i, "nested materials come first");
         match &material.model {
             Model::Diffuse { reflectance } => texture(*reflectance),
+            Model::DiffuseTransmission { reflectance, transmittance } => {
+                [*reflectance, *transmittance].into_iter().for_each(texture);
+            }
+            Model::ThinPrincipled(p) => {
+                [p.base_color, p.transmission_color, p.diff_trans, p.roughness, p.metallic]
+                    .into_iter()
+                    .for_each(texture);
+                assert!(p.eta >= 1.0 && p.eta.is_finite());
+            }
             Model::TwoSided { front, back } => [*front, *back].into_iter().for_each(before),
             Model::Mask { opacity, nested } => (texture(*opacity), before(*nested)).1,
             Model::BumpMap { height, nested, .. } => (texture(*height), before(*nested)).1,

@@ -87,6 +87,7 @@ fn material_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
     counted(scene.materials.iter().map(|m| match m.model {
         Model::Null => "null",
         Model::Diffuse { .. } => "diffuse",
+        Model::DiffuseTransmission { .. } => "diffuse transmission",
         Model::Dielectric(_) => "dielectric",
         Model::ThinDielectric(_) => "thin dielectric",
         Model::RoughDielectric { .. } => "rough dielectric",
@@ -95,6 +96,7 @@ fn material_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
         Model::Plastic(_) => "plastic",
         Model::RoughPlastic { .. } => "rough plastic",
         Model::Principled(_) => "principled",
+        Model::ThinPrincipled(_) => "thin principled",
         Model::Measured(_) => "measured",
         Model::Subsurface(_) => "subsurface",
         Model::TwoSided { .. } => "two-sided",
