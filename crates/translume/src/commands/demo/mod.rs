@@ -7,6 +7,7 @@ mod field;
 mod hdr;
 mod lights;
 mod render;
+mod scatter;
 
 use super::page::{self, Chapter};
 use crate::output::Context;
@@ -41,8 +42,13 @@ struct Part {
 type Entry = (&'static str, fn(&Path, &Context) -> anyhow::Result<Part>);
 
 /// The chapters in the order of the page.
-const CHAPTERS: &[Entry] =
-    &[("hdr", hdr::chapter), ("render", render::chapter), ("lights", lights::chapter), ("field", field::chapter)];
+const CHAPTERS: &[Entry] = &[
+    ("hdr", hdr::chapter),
+    ("render", render::chapter),
+    ("lights", lights::chapter),
+    ("scatter", scatter::chapter),
+    ("field", field::chapter),
+];
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let page_file = args.dir.join("index.html");
