@@ -84,17 +84,16 @@ pub(super) fn chapter(dir: &Path, ctx: &Context) -> anyhow::Result<Part> {
     let bytes = [size(&folder.join("model"))?, size(&folder.join("dipole"))?];
     let row = |i: usize| {
         let percent = |light: usize| format!("{:.1} %", 100.0 * errors[light][i]);
-        let pictures_per_second = errors.len() as f64 / showing[i].max(1e-9);
         vec![
             ["hierarchical", "dipole"][i].to_owned(),
             percent(0),
             percent(1),
             format!("{:.1} s", fitting[i]),
-            format!("{pictures_per_second:.0}"),
+            format!("{:.1} ms", 1e3 * showing[i] / errors.len() as f64),
             format!("{:.0} kB", bytes[i] as f64 / 1e3),
         ]
     };
-    let columns = ["model", "error from behind", "error under the spot", "fitted in", "pictures a second", "on disk"];
+    let columns = ["model", "error from behind", "error under the spot", "fitted in", "a picture in", "on disk"];
     let figures = Table { columns: columns.map(str::to_owned).to_vec(), rows: vec![row(0), row(1)] };
     let captured = size(&folder.join("capture"))? as f64 / 1e6;
     let html = text(dir, positions, capturing, captured);
@@ -113,10 +112,11 @@ fn object() -> TriMesh {
         let on_cube = cell.map(|k| (FRAC_PI_4 * (2.0 * f32::from(k) / f32::from(SQUARES) - 1.0)).tan());
         let d = Vec3::from(on_cube).normalize();
         let bump = |x, y, z, width: f32| (-(d.distance_squared(Vec3::new(x, y, z)) / width.powi(2))).exp();
-        let height = 0.3 * bump(0.75, -0.2, 0.6, 0.5) + 0.25 * bump(-0.8, 0.2, 0.5, 0.45)
-            - 0.28 * bump(0.05, -1.0, 0.05, 0.4)
-            - 0.2 * bump(0.0, 0.0, -1.0, 0.6);
-        (6.2 * (1.0 + height) * d * Vec3::new(1.12, 0.85, 0.95)).to_array()
+        let height =
+            0.18 * bump(0.75, -0.2, 0.6, 0.5) + 0.2 * bump(-0.8, 0.1, 0.4, 0.45) + 0.16 * bump(-0.1, -0.2, 1.0, 0.5)
+                - 0.25 * bump(0.1, -1.0, 0.05, 0.4)
+                - 0.2 * bump(0.0, 0.0, -1.0, 0.6);
+        (6.4 * (1.0 + height) * d * Vec3::new(1.1, 0.85, 0.9)).to_array()
     };
     let mut mesh = TriMesh::default();
     for (axis, side) in [(0, 0), (0, SQUARES), (1, 0), (1, SQUARES), (2, 0), (2, SQUARES)] {
@@ -204,7 +204,7 @@ fn lights() -> [(&'static str, &'static str, Light); 2] {
 fn relight(file: &Path, light: Light, object: (&Solid, &Medium), models: &Models) -> anyhow::Result<Relit> {
     let view = Sight {
         eye: [0.0, -60.0, 14.0],
-        target: [0.0, 0.0, 0.6],
+        target: [0.0, 0.0, 0.9],
         up: [0.0, 0.0, 1.0],
         fov_deg: FOV_DEG,
         width: SIZE.0,
@@ -252,7 +252,7 @@ fn error(picture: &Picture, halves: &[Picture; 2]) -> f64 {
 
 /// A row of pictures under one light, with one white.
 fn show(folder: &Path, name: &str, said: &str, relit: &Relit) -> anyhow::Result<Vec<Figure>> {
-    let white = white(&relit.truth);
+    let white = white(&relit.truth, 0.97);
     let figures = [
         ("truth", format!("{said}: the truth, {} photons", 2 * HALF_PHOTONS), &relit.truth),
         ("hierarchical", "By the hierarchical model".to_owned(), &relit.pictures[0]),
@@ -281,18 +281,18 @@ fn frames(folder: &Path, capture: &Capture) -> anyhow::Result<Vec<Figure>> {
         let planes = planes.context("a frame of the capture is missing")?;
         let picture: Picture = (0..rows * columns).map(|k| [0, 1, 2].map(|c| planes[c][k])).collect();
         let file = format!("frame-{}.png", i + 1);
-        save(&folder.join(&file), (columns, rows), &picture, white(&picture))?;
+        save(&folder.join(&file), (columns, rows), &picture, white(&picture, 0.99))?;
         let caption = format!("Laser position {position}, as the camera of view {view} saw it");
         row.push(Figure { file: format!("scatter/{file}"), caption });
     }
     Ok(row)
 }
 
-/// What is shown as white: nearly the brightest.
-fn white(picture: &Picture) -> f32 {
+/// What is shown as white: a share `q` of what is lit is darker.
+fn white(picture: &Picture, q: f64) -> f32 {
     let mut levels: Vec<f32> = picture.iter().flatten().copied().filter(|v| *v > 0.0).collect();
     levels.sort_unstable_by(f32::total_cmp);
-    levels.get(levels.len() * 97 / 100).copied().unwrap_or(1.0)
+    levels.get((levels.len() as f64 * q) as usize).copied().unwrap_or(1.0)
 }
 
 fn save(path: &Path, size: (usize, usize), picture: &Picture, white: f32) -> anyhow::Result<()> {
