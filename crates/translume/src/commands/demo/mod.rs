@@ -22,8 +22,8 @@ Examples:
 
 /// Run every system once on small built-in data, into a page with pictures and figures
 ///
-/// A rendered room is photographed by a simulated camera, and what the systems make of the photographs is compared with
-/// the room itself. The files in between are left in the folder, with the commands that do the same by hand.
+/// Simulated cameras photograph a rendered room and a translucent object, and what the systems make of the photographs is compared with
+/// the truth. The files in between are left in the folder, with the commands that do the same by hand.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
