@@ -4,7 +4,7 @@
 use super::Part;
 use crate::commands::page::{Chapter, Figure, Table, escape};
 use crate::output::Context;
-use anyhow::{Context as _, anyhow};
+use anyhow::{Context as _, anyhow, ensure};
 use serde_json::json;
 use std::f32::consts::FRAC_PI_4;
 use std::path::Path;
@@ -152,6 +152,7 @@ fn shoot(folder: &Path, object: (&Solid, &Medium), ctx: &Context) -> anyhow::Res
     let (beside, place) = (tempfile::Builder::new().prefix(".translume-").tempdir_in(folder)?, folder.join("capture"));
     capture_solid(&beside.path().join("capture"), object, &params, label, |_| ())?;
     if place.exists() {
+        ensure!(place.join("rig.json").exists(), "{}: it exists and is no capture; remove it", place.display());
         std::fs::remove_dir_all(&place).with_context(|| format!("cannot replace {}", place.display()))?;
     }
     std::fs::rename(beside.path().join("capture"), &place).with_context(|| place.display().to_string())?;
