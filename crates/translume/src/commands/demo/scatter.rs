@@ -150,9 +150,10 @@ fn shoot(folder: &Path, object: (&Solid, &Medium), ctx: &Context) -> anyhow::Res
     };
     let label = json!({ "medium": "marble", "pattern": PATTERN, "command": ctx.command_line });
     let (beside, place) = (tempfile::Builder::new().prefix(".translume-").tempdir_in(folder)?, folder.join("capture"));
+    let free = !place.exists() || place.join("rig.json").exists();
+    ensure!(free, "{}: it exists and is no capture; remove it", place.display());
     capture_solid(&beside.path().join("capture"), object, &params, label, |_| ())?;
     if place.exists() {
-        ensure!(place.join("rig.json").exists(), "{}: it exists and is no capture; remove it", place.display());
         std::fs::remove_dir_all(&place).with_context(|| format!("cannot replace {}", place.display()))?;
     }
     std::fs::rename(beside.path().join("capture"), &place).with_context(|| place.display().to_string())?;
