@@ -13,7 +13,7 @@ import numpy as np
 import OpenEXR
 from floor import floor
 
-BINARY = os.path.join(os.environ.get("CARGO_TARGET_DIR", "target"), "release", "translume")
+BINARY = os.environ.get("TRANSLUME") or os.path.join(os.environ.get("CARGO_TARGET_DIR", "target"), "release", "translume")
 RESULTS = os.path.join("benches", "results")
 METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "photonmap": ["--integrator", "photonmap"],
            "gkernel": ["--integrator", "gkernel"], "gkernel, printed": ["--integrator", "gkernel", "-O", "printed=true"]}
@@ -192,7 +192,11 @@ def main():
     p.add_argument("--bias", type=int, default=64, metavar="SPP", help="samples for the bias table; 0: none")
     p.add_argument("--parts", type=float, default=20, metavar="SECONDS", help="of each row of the table of parts; 0: none")
     p.add_argument("--dry", action="store_true", help="write no results")
+    p.add_argument("--figures", action="store_true", help="the paper's figures 1, 4 and 7 instead (3 minutes)")
     a = p.parse_args()
+    if a.figures:
+        import figures
+        return figures.main()
     rows, counts = equal_time(a)
     partly = parts(a) if a.parts else []
     biased = bias(a.bias, 8) if a.bias else []

@@ -42,8 +42,10 @@ pub struct Vertex {
     pub parent: u32,
     /// Segments of the walk up to here; straight passes count.
     pub segments: u32,
-    /// Chance with which roulette, and surfaces passed straight, let the walk come here from the parent.
+    /// Chance with which roulette let the walk come here from the parent.
     pub survival: f32,
+    /// Chance with which the surfaces in between let it pass straight.
+    pub passed: f32,
     /// The walk went on in a direction that has no density.
     pub delta: bool,
 }
@@ -170,6 +172,7 @@ struct State {
     density: Density,
     parent: u32,
     survival: f32,
+    passed: f32,
 }
 
 /// One scattering of a walk.
@@ -194,7 +197,8 @@ impl Walk<'_> {
         rays: &mut u64,
         out: &mut Vec<Vertex>,
     ) -> (Option<Escape>, f32) {
-        let mut s = State { ray, throughput, loss: Rgb::ONE, eta: 1.0, density, parent: NONE, survival: 1.0 };
+        let mut s =
+            State { ray, throughput, loss: Rgb::ONE, eta: 1.0, density, parent: NONE, survival: 1.0, passed: 1.0 };
         let mut start_back = 0.0;
         for segments in 1..=self.limits.segments {
             *rays += 1;
@@ -207,8 +211,8 @@ impl Walk<'_> {
             };
             let pdf = s.density.at(hit.point.p, hit.n(), hit.wo);
             let (throughput, parent) = (s.throughput, s.parent);
-            let survival = s.survival;
-            out.push(Vertex { hit, throughput, pdf, pdf_back: 0.0, parent, segments, survival, delta: false });
+            let (survival, passed) = (s.survival, s.passed);
+            out.push(Vertex { hit, throughput, pdf, pdf_back: 0.0, parent, segments, survival, passed, delta: false });
             if segments == self.limits.segments {
                 break;
             }
@@ -222,7 +226,7 @@ impl Walk<'_> {
                 s.ray = hit.point.spawn(sample.wi);
                 s.throughput *= sample.weight;
                 s.loss *= sample.weight;
-                s.survival *= sample.pdf_w;
+                s.passed *= sample.pdf_w;
             } else {
                 let Some(step) = self.step(&hit, &shading, &sample) else { break };
                 out[index].delta = step.delta;
@@ -240,7 +244,7 @@ impl Walk<'_> {
                 s.eta *= step.eta;
                 s.density = Density::Angle { from: hit.point.p, pdf_w: step.pdf_w };
                 s.parent = index as u32;
-                s.survival = 1.0;
+                (s.survival, s.passed) = (1.0, 1.0);
             }
             if !self.survives(&mut s, segments, sampler) {
                 break;

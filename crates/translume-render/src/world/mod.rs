@@ -9,7 +9,7 @@ use crate::light::{End, LightPoint, Lights, light_of};
 use crate::material::{Prepared, Shader};
 use crate::medium::Tracked;
 use crate::texture;
-use crate::{Error, Result, Rgb};
+use crate::{Error, PathSampler, Result, Rgb};
 pub(crate) use build::world as compile;
 use glam::{DAffine3, Vec2, Vec3};
 pub use hit::{Shading, SurfaceHit};
@@ -17,6 +17,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 pub use translucent::Entry;
 pub(crate) use translucent::Translucent;
+use translume_bxdf::{Flags, Mode};
+use translume_core::sampler::Sampler;
 use translume_mesh::TriMesh;
 use translume_scene::{MaterialId, MediumId, Scene, TextureId};
 use translume_trace::{Ray, SurfacePoint};
@@ -108,10 +110,15 @@ impl World {
         Some(self.surface_hit(ray, &hit))
     }
 
-    /// Whether `there` is true of a place, and its parameter, where a walk along the ray may arrive: it goes on behind what lets
-    /// something pass straight, and what does nothing else is no place.
+    /// Whether `there` is true of a place, and its parameter, where a walk along the ray arrives: it goes on behind what lets
+    /// something pass straight, by chance as walks do, or always without a sampler; what does nothing else is no place.
     #[inline]
-    pub(crate) fn arrives(&self, ray: &Ray, mut there: impl FnMut(&SurfacePoint, f32) -> bool) -> bool {
+    pub(crate) fn arrives(
+        &self,
+        ray: &Ray,
+        mut sampler: Option<&mut PathSampler>,
+        mut there: impl FnMut(&SurfacePoint, f32) -> bool,
+    ) -> bool {
         let (mut ray, mut before) = (*ray, 0.0);
         for _ in 0..MOST_CROSSINGS {
             let Some(hit) = self.tracer.intersect(&ray) else { return false };
@@ -123,7 +130,13 @@ impl World {
             if shading.flags().has_smooth() && there(&hit.point, before + hit.t) {
                 return true;
             }
-            if shading.bsdf.null_transmittance(shading.to_local(hit.wo)) == Rgb::ZERO {
+            let passes = match sampler.as_deref_mut() {
+                Some(s) => shading
+                    .sample(hit.wo, s.next_1d(), s.next_2d(), Mode::Importance)
+                    .is_some_and(|s| s.flags.contains(Flags::NULL)),
+                None => shading.bsdf.null_transmittance(shading.to_local(hit.wo)) != Rgb::ZERO,
+            };
+            if !passes {
                 return false;
             }
             before += hit.t;

@@ -10,8 +10,7 @@
 //! - other surfaces: the walk's own directions, most of which miss the cone and cost no ray; n trials estimate n;
 //! - parallel light: places in the disc that bounds all footprints, p is constant.
 //!
-//! Roulette is not part of it, and neither is what passes surfaces straight (masks): a link divides by the chance that its own light
-//! path had, and a trial passes wherever something does.
+//! Roulette is not part of it: a link divides by the chance that its own light path had. A trial passes masks straight by chance, as walks do.
 
 use super::light::LEAST_COS;
 use super::link::{Arrival, Link, Linker, Parent};
@@ -42,6 +41,7 @@ impl Linker<'_> {
     ) -> f32 {
         let key = u64::from(link.light) << 32 | u64::from(link.eye);
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x6368_616e, key, self.seed.1);
+        let mut passing = sampler.branch(0x7061_7373);
         let center = y.hit.point.p;
         let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
         let to_y = -arrival.wi;
@@ -50,7 +50,7 @@ impl Linker<'_> {
         let mut hits = |target: Vec3, pdf: f32, u: f32| {
             *rays += 1;
             let ray = self.lights.ray_beside(self.world, v, target);
-            self.world.arrives(&ray, |point, t| {
+            self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let reach = self.reach(v, t);
                 let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
                 let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);

@@ -2,6 +2,7 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
+use super::light::Reach;
 use super::weight::{Way, Weighing};
 use crate::light::{LightPoint, Starts};
 use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
@@ -29,6 +30,8 @@ pub(crate) struct EyeVertex<'a> {
     /// happen there.
     pub(crate) back: f32,
     pub(crate) before: f32,
+    /// Its distance.
+    pub(crate) distance: f32,
     pub(crate) way: Way,
     /// See [`super::weight`].
     pub(crate) behind: f32,
@@ -40,7 +43,8 @@ impl EyeVertex<'_> {
     #[inline]
     pub(crate) fn nearer(&self, weighing: &Weighing, onto: f32, pdf_to_camera: f32) -> f32 {
         let back = pdf_to_camera * self.back;
-        weighing.times(onto / self.pdf, weighing.add(self.way, back, back / self.before, self.behind))
+        let at = weighing.landing(back, Reach::Distance(self.distance));
+        weighing.times(onto / self.pdf, weighing.add(self.way, at, back / self.before, self.behind))
     }
 }
 
@@ -93,10 +97,11 @@ impl<'a> Eye<'a> {
                 pdf: v.pdf,
                 back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
                 before: parent.map_or(1.0, |p| p.pdf),
+                distance: parent.map_or(0.0, |p| between(p, &v.hit)),
                 way: Way::of(parent.is_none_or(|p| p.delta), false),
                 behind: behind[i],
             };
-            if self.weighing.emitters {
+            if self.weighing.emitters > 0.0 {
                 let samples = emitter_samples(self.world, y.depth);
                 (0..samples).for_each(|_| radiance += self.lit(&y, samples as f32, &mut emitters, rays));
             }
@@ -114,7 +119,8 @@ impl<'a> Eye<'a> {
         let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
         let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
         let way = Way::of(above.delta, parent_vertex.delta);
-        self.weighing.add(way, above.pdf_back, above.pdf_back / above.pdf, behind[parent as usize])
+        let at = self.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)));
+        self.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
     }
 
     /// One of `samples` of the light that falls on `y`.
@@ -135,11 +141,13 @@ impl<'a> Eye<'a> {
         let point = sample.point(light);
         let distance = (point.p - p).length();
         let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
-        let own = samples * per_point(sample.pdf_w);
+        let own = self.weighing.emitters * samples * per_point(sample.pdf_w);
         let met = if sample.delta { 0.0 } else { self.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
         let (begin, next) = lights.pdf_start(self.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let merged = self.weighing.own(Way::Link, onto_y) + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
+        let reach = if point.far { Reach::Parallel(next) } else { Reach::Distance(distance) };
+        let merged = self.weighing.own(Way::Link, self.weighing.landing(onto_y, reach))
+            + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
         let others = met + self.weighing.times(begin / own, merged);
         let cos = y.hit.n().dot(sample.wi).abs();
         visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
@@ -151,9 +159,10 @@ impl<'a> Eye<'a> {
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
-        let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
+        let at = self.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
+        let inner = self.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
         let direct = match parent.delta {
-            false if self.weighing.emitters => {
+            false if self.weighing.emitters > 0.0 => {
                 let samples = emitter_samples(self.world, depth - 1) as f32;
                 let shading = self.world.shading(&parent.hit);
                 samples * self.world.pdf_direct(&parent.hit, &shading, &point, -v.hit.wo) / v.pdf
@@ -174,7 +183,8 @@ impl<'a> Eye<'a> {
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
             let (begin, next) = lights.pdf_start(self.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
-            let inner = self.weighing.add(Way::of(parent.delta, false), back, back / parent.pdf, behind);
+            let at = self.weighing.landing(back, Reach::Parallel(next));
+            let inner = self.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
             let direct =
                 if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w / escape.pdf_w };
             far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner) + self.weighing.direct(direct))
@@ -192,6 +202,10 @@ pub(super) fn emitter_samples(world: &World, depth: u32) -> u32 {
 /// 1/(1 + A); where nothing competes A may be 0 · ∞.
 fn weight(others: f32) -> f32 {
     if others > 0.0 { 1.0 / (1.0 + others) } else { 1.0 }
+}
+
+fn between(a: &Vertex, b: &SurfaceHit) -> f32 {
+    a.hit.point.p.distance(b.point.p)
 }
 
 /// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.

@@ -5,7 +5,7 @@
 //! parent may be made (the parent scatters in more than single directions) and whether the surface around it is flat as
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
-use super::weight::{Way, Weighing};
+use super::weight::{Landing, Way, Weighing};
 use crate::light::{End, LightStart, Starts};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
@@ -73,12 +73,16 @@ pub(crate) struct LightVertex {
     pub(crate) throughput: Rgb,
     /// Density per area, given the parent.
     pub(crate) pdf: f32,
+    /// See [`Landing`].
+    pub(crate) chance: f32,
     /// The footprint's.
     pub(crate) radius: f32,
     /// Number of the vertex before, or of the begin ([`LightVertex::first`]).
     pub(crate) parent: u32,
     /// Chance with which roulette let the path come here from the parent.
     pub(crate) survival: f32,
+    /// Chance with which what stands between let it pass straight.
+    pub(crate) passed: f32,
     /// Weights of merging farther up the path, see [`Weighing`].
     pub(crate) behind: f32,
     /// Of emitter sampling here, where the parent is a light.
@@ -115,6 +119,12 @@ impl LightVertex {
         self.flags & MERGED != 0
     }
 
+    /// For weights.
+    #[inline]
+    pub(crate) fn landing(&self) -> Landing {
+        Landing { pdf: self.pdf, chance: self.chance }
+    }
+
     /// What may happen here.
     #[inline]
     pub(crate) fn way(&self) -> Way {
@@ -137,7 +147,7 @@ pub(crate) struct Brief {
     pub(crate) gain: f32,
     /// Eq. 10.
     pub(crate) printed: f32,
-    pub(crate) pdf: f32,
+    pub(crate) at: Landing,
     pub(crate) back: f32,
     pub(crate) behind: f32,
     pub(crate) direct: f32,
@@ -150,7 +160,7 @@ impl Brief {
         let cos = if way == Way::Merge { 1.0 } else { v.cos() };
         let gain = luminance(v.throughput) / (area * cos);
         let printed = 1.0 / (area * v.cos());
-        Self { wo: v.hit.wo, gain, printed, pdf: v.pdf, back: v.back, behind: v.behind, direct: v.direct, way }
+        Self { wo: v.hit.wo, gain, printed, at: v.landing(), back: v.back, behind: v.behind, direct: v.direct, way }
     }
 }
 
@@ -257,18 +267,18 @@ impl LightPaths {
                 };
                 let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
                 let before = &self.vertices[base + v.parent as usize];
-                request.weighing.add(way, parent.pdf, ratio, before.behind) + before.direct
+                request.weighing.add(way, before.landing(), ratio, before.behind) + before.direct
             }
         };
         let direct = match parent {
-            None if request.weighing.emitters && !v.delta => {
+            None if request.weighing.emitters > 0.0 && !v.delta => {
                 let pdf = request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), &point, wo);
                 request.weighing.direct(pdf / light.start.pdf_begin())
             }
             _ => 0.0,
         };
         let delta = parent.is_some_and(|p| p.delta);
-        let usable = v.pdf > 0.0 && v.survival > 0.0;
+        let usable = v.pdf > 0.0 && v.survival > 0.0 && v.passed > 0.0;
         let (linked, merged) = (!delta && usable, delta && usable && request.weighing.photons > 0.0);
         let radius = match (merged, delta) {
             (true, _) => request.bandwidth.photon,
@@ -280,9 +290,11 @@ impl LightPaths {
             hit: v.hit,
             throughput: v.throughput,
             pdf: v.pdf,
+            chance: request.weighing.landing(v.pdf, reach).chance,
             radius,
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
+            passed: v.passed,
             behind,
             direct,
             back,
@@ -317,7 +329,7 @@ impl LightPaths {
             let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
             let ray = self.ray_beside(world, v, v.hit.point.p + away);
             *rays += 1;
-            world.arrives(&ray, |point, _| {
+            world.arrives(&ray, None, |point, _| {
                 let off = point.p - v.hit.point.p;
                 off.dot(v.hit.n()).abs() <= 0.05 * v.radius && (off - away).length_squared() <= (0.5 * v.radius).powi(2)
             })

@@ -190,6 +190,7 @@ pub(super) struct Arrival {
     value: Rgb,
     /// Density per area across the light at y; the kernel's area times this normalises.
     pub(super) pdf_across: f32,
+    reach: Reach,
     /// cos at the parent over the squared distance: density of the parent's place by a walk from y, per direction's.
     onto_parent: f32,
     at_parent: Option<Scattering>,
@@ -237,7 +238,7 @@ impl<'a> Linker<'a> {
             return none;
         }
         let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
-        let own = self.weighing.own(Way::Merge, v.pdf);
+        let own = self.weighing.own(Way::Merge, v.landing());
         let camera = y.nearer(&self.weighing, v.pdf, here.pdf_to_camera);
         let light = self.weighing.times(here.pdf_to_light * v.back, v.behind);
         let weight = own / (own + camera + light);
@@ -313,11 +314,12 @@ impl<'a> Linker<'a> {
                 self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
             }
             Normalise::Rays
-                if !*common.flat.get_or_insert_with(|| self.lights.is_flat(self.world, v, &mut score.rays)) =>
+                if v.passed < 1.0
+                    || !*common.flat.get_or_insert_with(|| self.lights.is_flat(self.world, v, &mut score.rays)) =>
             {
                 self.share(link, v, &arrival, y, &mut score.rays) / (PI * v.radius * v.radius)
             }
-            _ => 1.0 / (PI * v.radius * v.radius * v.cos() * self.kernel_mean()),
+            _ => 1.0 / (PI * v.radius * v.radius * v.cos() * self.kernel_mean() * v.passed),
         };
         let kernel = kernel * self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let weight = self.weight(parent, &arrival, &here, y, cos_y);
@@ -341,6 +343,7 @@ impl<'a> Linker<'a> {
                         wi,
                         value: value / pdf_across,
                         pdf_across,
+                        reach: Reach::Parallel(pdf_across),
                         onto_parent: 1.0,
                         at_parent: None,
                     });
@@ -354,7 +357,8 @@ impl<'a> Linker<'a> {
                 }
                 let value = radiance * (cos / (start.pdf_begin() * pdf_w));
                 let onto_parent = point.from_solid_angle(1.0, wi, distance);
-                Some(Arrival { wi, value, pdf_across: pdf_w / (distance * distance), onto_parent, at_parent: None })
+                let (pdf_across, reach) = (pdf_w / (distance * distance), Reach::Distance(distance));
+                Some(Arrival { wi, value, pdf_across, reach, onto_parent, at_parent: None })
             }
             Parent::Vertex(p, shading) => {
                 let (wi, distance) = toward(y, p.hit.point.p)?;
@@ -368,6 +372,7 @@ impl<'a> Linker<'a> {
                     wi,
                     value: p.throughput * there.f * (cos / there.pdf_to_camera),
                     pdf_across: there.pdf_to_camera * across,
+                    reach: Reach::Distance(distance),
                     onto_parent: cos * across,
                     at_parent: Some(there),
                 })
@@ -382,6 +387,7 @@ impl<'a> Linker<'a> {
     fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex, rays: &mut u64) -> f32 {
         let key = u64::from(link.light) << 32 | u64::from(link.eye);
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x7368_6172, key, self.seed.1);
+        let mut passing = sampler.branch(0x7061_7373);
         let frame = Frame::from_normal(arrival.wi);
         let center = y.hit.point.p;
         let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
@@ -394,7 +400,7 @@ impl<'a> Linker<'a> {
             let ray = self.lights.ray_beside(self.world, v, center + beside);
             *rays += 1;
             let u = if self.smooth { sampler.next_1d() } else { 0.0 };
-            let found = self.world.arrives(&ray, |point, t| {
+            let found = self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
                 let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
                 u < self.kernel(point.p.distance_squared(center), radius)
@@ -409,15 +415,15 @@ impl<'a> Linker<'a> {
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
     #[inline]
     pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
-        let own = self.weighing.own(v.way, v.pdf);
-        let camera = y.nearer(&self.weighing, v.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
+        let own = self.weighing.own(v.way, v.at);
+        let camera = y.nearer(&self.weighing, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
         let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
         own / (own + camera + light)
     }
 
     /// Density with which emitter sampling at `y` finds the light's point.
     fn pdf_direct(&self, start: &LightStart, arrival: &Arrival, y: &EyeVertex) -> f32 {
-        if !self.weighing.emitters {
+        if self.weighing.emitters == 0.0 {
             return 0.0;
         }
         let samples = emitter_samples(self.world, y.depth) as f32;
@@ -426,7 +432,7 @@ impl<'a> Linker<'a> {
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let own = self.weighing.own(Way::Link, onto_y);
+        let own = self.weighing.own(Way::Link, self.weighing.landing(onto_y, arrival.reach));
         let camera = y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {
@@ -437,7 +443,7 @@ impl<'a> Linker<'a> {
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                let inner = self.weighing.add(p.way(), p.pdf, there * p.back, p.behind) + p.direct;
+                let inner = self.weighing.add(p.way(), p.landing(), there * p.back, p.behind) + p.direct;
                 self.weighing.times(parent_pdf / p.pdf, inner)
             }
         };

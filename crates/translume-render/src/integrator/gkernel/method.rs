@@ -32,6 +32,8 @@ pub(crate) struct Method {
     pub(crate) acceptance: bool,
     /// Lights are sampled at camera vertices as well.
     pub(crate) emitters: bool,
+    /// Weights know how steady those samples are.
+    pub(crate) steady: bool,
     /// Light paths of a step are points of a low-discrepancy sequence.
     pub(crate) sobol: bool,
     /// Merges are weighed as connections made many times, not by eq. 9.
@@ -39,7 +41,7 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 15] = [
+pub(crate) const OPTIONS: [Choice; 16] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: a quarter as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
@@ -64,6 +66,7 @@ pub(crate) const OPTIONS: [Choice; 15] = [
         about: "weight in a footprint: `even`, or falling `smooth`ly to its rim",
     },
     Choice { name: "emitters", default: "auto", about: "sample lights at camera vertices as well, as path does" },
+    Choice { name: "steady", default: "auto", about: "weights know how little samples of lights differ" },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
     Choice {
         name: "acceptance",
@@ -106,6 +109,7 @@ impl Method {
             smooth: options.choice("kernel", ["auto", "even", "smooth"])? == 2,
             acceptance: auto("acceptance")?,
             emitters: auto("emitters")?,
+            steady: auto("steady")?,
             sobol: auto("sobol")?,
             weights: auto("weights")?,
         })

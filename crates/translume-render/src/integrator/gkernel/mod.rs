@@ -168,10 +168,11 @@ impl GKernel {
         }
     }
 
-    fn weighing(&self, scale: f32, bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
+    fn weighing(&self, (scale, steadiness): (f32, f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
         let photons = if self.method.caustics { photons } else { 0.0 };
-        Weighing { scale, printed: !self.method.weights, emitters: self.method.emitters, photons }
+        let emitters = if self.method.emitters { steadiness } else { 0.0 };
+        Weighing { scale, printed: !self.method.weights, emitters, photons, least: bandwidth.least }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {
@@ -364,7 +365,7 @@ impl Integrator for GKernel {
         let first = film.samples().0;
         let step = first / self.eye_paths;
         let bandwidth = self.bandwidth(shot, step, pilot.h);
-        let weighing = self.weighing(pilot.scale, &bandwidth, self.light_paths(shot));
+        let weighing = self.weighing((pilot.scale, pilot.steadiness), &bandwidth, self.light_paths(shot));
         let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
         let (traced, mut rays) = self.traced(&request);
         let Traced { lights, briefs } = &*traced;

@@ -25,6 +25,9 @@ pub(crate) struct Pilot {
     pub(crate) h: [f32; 2],
     /// c of the weights.
     pub(crate) scale: f32,
+    /// Of light samples at camera vertices: the mean of their squares over their variance. Weights that go by densities alone take these to
+    /// be equal (Grittmann et al. 2019: variance-aware multiple importance sampling).
+    pub(crate) steadiness: f32,
     /// Where light paths begin.
     pub(crate) starts: Starts,
 }
@@ -55,6 +58,9 @@ const FIRST_H: f32 = 0.01;
 /// Lights that each camera vertex is asked about.
 const LAMPS: usize = 4;
 
+/// Largest [`Pilot::steadiness`].
+const STEADIEST: f32 = 16.0;
+
 /// Part of the light paths that begin by what was learnt.
 const LEARNT: f32 = 0.8;
 
@@ -69,18 +75,20 @@ impl Outlook {
 impl GKernel {
     pub(super) fn fly_pilot(&self, shots: &[&Shot]) -> Pilot {
         let lights = shots[0].world.lights();
-        let weighed = (self.weighed(shots[0], [FIRST_H; 2], 1.0), lights.by_power());
+        let weighed = (self.weighed(shots[0], [FIRST_H; 2], (1.0, 1.0)), lights.by_power());
         let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, weighed));
         let flock = views.reduce(Flock::join).unwrap_or_default();
+        let shine = flock.shine(shots[0]);
         let starts = match self.method.importance {
-            true => lights.starts_by(&flock.brought(shots[0]), LEARNT),
+            true => lights.starts_by(&shine.brought, LEARNT),
             false => lights.by_power().clone(),
         };
+        let steadiness = if self.method.steady { shine.steadiness } else { 1.0 };
         let (h, scale) = self.calibrate(shots[0], &flock, &starts);
-        Pilot { h, scale, starts }
+        Pilot { h, scale, steadiness, starts }
     }
 
-    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: f32) -> Weighing {
+    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: (f32, f32)) -> Weighing {
         self.weighing(scale, &self.bandwidth(shot, 0, h), self.light_paths(shot))
     }
 
@@ -105,7 +113,7 @@ impl GKernel {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let request = self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, 1.0), starts));
+        let request = self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, (1.0, 1.0)), starts));
         let mut lights = LightPaths::trace(&request);
         for _ in 0..8 {
             let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);
@@ -129,7 +137,7 @@ impl GKernel {
     pub(super) fn look(&self, shot: &Shot, pilot: &Pilot) -> Outlook {
         let bandwidth = self.bandwidth(shot, 0, pilot.h);
         // The camera's vertices with the weights that links take.
-        let path = (self.weighed(shot, pilot.h, pilot.scale), &pilot.starts);
+        let path = (self.weighed(shot, pilot.h, (pilot.scale, pilot.steadiness)), &pilot.starts);
         let flock = self.flock(shot, path);
         let request = self.request(shot, STEP, bandwidth, path);
         let lights = LightPaths::trace(&request);
@@ -156,6 +164,14 @@ impl GKernel {
     }
 }
 
+/// By emitter sampling, which finds the lights that are seen among thousands that are not.
+struct Shine {
+    /// What each light brings to the picture, relative to the brightness of the tile.
+    brought: Vec<f32>,
+    /// See [`Pilot`].
+    steadiness: f32,
+}
+
 /// Camera vertices of the pilot, and the tiles that they belong to.
 #[derive(Default)]
 struct Flock<'a> {
@@ -172,9 +188,8 @@ impl Flock<'_> {
         self
     }
 
-    /// What each light brings to the picture through these vertices, relative to the brightness of its tile: by emitter
-    /// sampling, which finds the lights that are seen among thousands that are not.
-    fn brought(&self, shot: &Shot) -> Vec<f32> {
+    /// What lights bring to the picture through these vertices.
+    fn shine(&self, shot: &Shot) -> Shine {
         let world = shot.world;
         let of = |(i, eye): (usize, &EyeVertex)| {
             let mut sampler = PathSampler::new(shot.seed ^ 0x706c_6f74, i as u64, 0);
@@ -197,10 +212,20 @@ impl Flock<'_> {
         }
         let dark = 0.01 * shine.iter().sum::<f32>() / self.tiles as f32;
         let mut brought = vec![0.0; world.lights().len()];
+        let (mut squares, mut variance) = (0.0, 0.0);
         for (lamps, tile) in found.iter().zip(&self.tile_of) {
-            lamps.iter().flatten().for_each(|lamp| brought[lamp.0] += lamp.1 / (shine[*tile] + dark));
+            let relative = lamps.map(|lamp| lamp.map_or(0.0, |lamp| lamp.1 / (shine[*tile] + dark)));
+            lamps
+                .iter()
+                .zip(relative)
+                .filter_map(|(lamp, v)| Some((lamp.as_ref()?.0, v)))
+                .for_each(|(i, v)| brought[i] += v);
+            let mean = relative.iter().sum::<f32>() / LAMPS as f32;
+            squares += relative.iter().map(|v| v * v).sum::<f32>() / LAMPS as f32;
+            variance += relative.iter().map(|v| (v - mean).powi(2)).sum::<f32>() / (LAMPS - 1) as f32;
         }
-        brought
+        let steadiness = if squares > 0.0 { squares / variance.max(squares / STEADIEST) } else { 1.0 };
+        Shine { brought, steadiness: steadiness.max(1.0) }
     }
 }
 

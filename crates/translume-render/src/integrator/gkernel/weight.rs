@@ -13,6 +13,8 @@
 //! camera's side A = r_t (g_{t−1} + r_{t−1} (g_{t−2} + …)), with q_i = p^E(z_i)/p^L(z_i) on the light's B = q_m (g_m + q_{m−1} (…)),
 //! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the vertex (`behind`).
 
+use super::light::{LEAST_COS, Reach};
+
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Weighing {
@@ -20,10 +22,21 @@ pub(crate) struct Weighing {
     pub(crate) scale: f32,
     /// Eq. 9.
     pub(crate) printed: bool,
-    /// Lights are sampled at camera vertices as well.
-    pub(crate) emitters: bool,
+    /// How much a sample of a light at a camera vertex counts; 0: none are taken. See [`super::pilot`].
+    pub(crate) emitters: f32,
     /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
     pub(crate) photons: f32,
+    /// Of the bandwidth.
+    pub(crate) least: f32,
+}
+
+/// A place of a light path.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Landing {
+    /// Density per area of the light's walk.
+    pub(crate) pdf: f32,
+    /// The part of the c links that light paths which land here can make, where footprints are not as large as their density asks for.
+    pub(crate) chance: f32,
 }
 
 /// What may happen at a vertex.
@@ -50,14 +63,24 @@ impl Way {
 }
 
 impl Weighing {
-    /// g of what may happen at a vertex that the light's walk finds with density `pdf`.
+    /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before.
     #[inline]
-    pub(crate) fn own(&self, way: Way, pdf: f32) -> f32 {
+    pub(crate) fn landing(&self, pdf: f32, reach: Reach) -> Landing {
+        let chance = match reach {
+            Reach::Distance(d) => pdf * d * d / self.least,
+            Reach::Parallel(across) => pdf / (LEAST_COS * across),
+        };
+        Landing { pdf, chance: if self.least > 0.0 { chance.min(1.0) } else { 1.0 } }
+    }
+
+    /// g of what may happen at a vertex where the light's walk may land.
+    #[inline]
+    pub(crate) fn own(&self, way: Way, at: Landing) -> f32 {
         self.power(match way {
             Way::Closed => 0.0,
-            Way::Merge => self.photons * pdf,
-            Way::Link if self.printed => self.scale * pdf,
-            Way::Link => self.scale,
+            Way::Merge => self.photons * at.pdf,
+            Way::Link if self.printed => self.scale * at.pdf,
+            Way::Link => self.scale * at.chance,
         })
     }
 
@@ -82,12 +105,12 @@ impl Weighing {
     /// Emitter sampling beside what else may happen; `ratio` is its density of the light's point over the other's.
     #[inline]
     pub(crate) fn direct(&self, ratio: f32) -> f32 {
-        if self.emitters { self.times(ratio, 1.0) } else { 0.0 }
+        self.times(self.emitters * ratio, 1.0)
     }
 
-    /// A bracket around `inner`: what may happen at a vertex of density `pdf` by the light's walk, and what lies behind.
+    /// A bracket around `inner`: what may happen at a vertex where the light's walk may land, and what lies behind.
     #[inline]
-    pub(crate) fn add(&self, way: Way, pdf: f32, ratio: f32, inner: f32) -> f32 {
-        self.own(way, pdf) + self.times(ratio, inner)
+    pub(crate) fn add(&self, way: Way, at: Landing, ratio: f32, inner: f32) -> f32 {
+        self.own(way, at) + self.times(ratio, inner)
     }
 }
