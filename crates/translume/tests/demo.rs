@@ -28,6 +28,17 @@ fn the_page_is_whole_and_the_figures_are_good() {
     let lights = &json["figures"]["lights"]["rel_mse"];
     assert!(["path", "bdpt", "photonmap", "gkernel"].iter().all(|m| lights[m].as_f64().unwrap() < 10.0), "{lights}");
 
+    // Of another marble, or by F or K alone, it would be 0.3 to 0.9 in one of the lights.
+    let scatter = &json["figures"]["scatter"]["error"];
+    for light in ["behind", "spot"] {
+        let error = |model: &str| scatter[light][model].as_f64().unwrap();
+        assert!(error("hierarchical") < 0.27 && error("hierarchical") < 0.55 * error("dipole"), "{light}: {scatter}");
+    }
+    for file in ["object.ply", "capture/rig.json", "model/model.json", "dipole/model.json", "behind.json", "spot.json"]
+    {
+        assert!(dir.path().join("o u t/scatter").join(file).exists(), "{file}");
+    }
+
     let field = &json["figures"]["field"]["psnr_db"];
     assert!(field["layers"].as_f64().unwrap() > field["log_pca"].as_f64().unwrap() + 2.0, "{field}");
     assert!([0, 2].iter().all(|i| hdr["end_point_error_px"][*i].as_f64().unwrap() < 0.5), "{hdr}");

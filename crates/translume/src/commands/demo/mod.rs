@@ -7,6 +7,7 @@ mod field;
 mod hdr;
 mod lights;
 mod render;
+mod scatter;
 
 use super::page::{self, Chapter};
 use crate::output::Context;
@@ -21,8 +22,8 @@ Examples:
 
 /// Run every system once on small built-in data, into a page with pictures and figures
 ///
-/// A rendered room is photographed by a simulated camera, and what the systems make of the photographs is compared with
-/// the room itself. The files in between are left in the folder, with the commands that do the same by hand.
+/// Simulated cameras photograph a rendered room and a translucent object, and what the systems make of the photographs is compared with
+/// the truth. The files in between are left in the folder, with the commands that do the same by hand.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -41,8 +42,13 @@ struct Part {
 type Entry = (&'static str, fn(&Path, &Context) -> anyhow::Result<Part>);
 
 /// The chapters in the order of the page.
-const CHAPTERS: &[Entry] =
-    &[("hdr", hdr::chapter), ("render", render::chapter), ("lights", lights::chapter), ("field", field::chapter)];
+const CHAPTERS: &[Entry] = &[
+    ("hdr", hdr::chapter),
+    ("render", render::chapter),
+    ("lights", lights::chapter),
+    ("scatter", scatter::chapter),
+    ("field", field::chapter),
+];
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let page_file = args.dir.join("index.html");
