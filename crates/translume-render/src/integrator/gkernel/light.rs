@@ -321,12 +321,12 @@ impl LightPaths {
         }
     }
 
-    /// Whether the parent of `v` sees the plane of `v` all around it, twice as far as the footprint.
+    /// Whether the parent of `v` sees the plane of `v` all around it, a fifth farther than the footprint.
     pub(crate) fn is_flat(&self, world: &World, v: &LightVertex, rays: &mut u64) -> bool {
         let frame = Frame::from_normal(v.hit.n());
         (0..PROBES).all(|i| {
             let turn = (i as f32 + 0.5) * (4.0 * FRAC_PI_2 / PROBES as f32);
-            let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (2.0 * v.radius));
+            let away = frame.to_world(Vec3::new(turn.cos(), turn.sin(), 0.0) * (1.2 * v.radius));
             let ray = self.ray_beside(world, v, v.hit.point.p + away);
             *rays += 1;
             world.arrives(&ray, None, |point, _| {
