@@ -120,7 +120,13 @@ pub trait Integrator: Send + Sync {
 
     /// For methods that work on the whole picture at once, which have no [`Integrator::radiance`]: adds a sample to every
     /// pixel, as far as neither `stop` nor `late` ends it (the first sample is finished in any case), and returns the rays.
-    fn pass(&self, _shot: &Shot, _film: &mut Film, _stop: &AtomicBool, _late: &dyn Fn() -> bool) -> Option<u64> {
+    fn pass(
+        &self,
+        _shot: &Shot,
+        _film: &mut Film,
+        _stop: &AtomicBool,
+        _late: &(dyn Fn() -> bool + Sync),
+    ) -> Option<u64> {
         None
     }
 

@@ -359,7 +359,7 @@ impl Integrator for GKernel {
     }
 
     /// A step, or the rest of one.
-    fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &dyn Fn() -> bool) -> Option<u64> {
+    fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &(dyn Fn() -> bool + Sync)) -> Option<u64> {
         let pilot = self.pilot.get_or_init(|| self.fly_pilot(&[shot]));
         let outlook = self.outlook(shot, pilot);
         let first = film.samples().0;
@@ -370,22 +370,20 @@ impl Integrator for GKernel {
         let (traced, mut rays) = self.traced(&request);
         let Traced { lights, briefs } = &*traced;
         let aovs = film.aovs().to_vec();
-        let whole = film.tiles.len();
         let tiles_at_once = (BLOCK / (crate::film::TILE * crate::film::TILE) as usize).max(1);
         let end = (step + 1) * self.eye_paths;
-        'step: for sample in first..end {
+        for sample in first..end {
             // Links are drawn anew for every camera path, as if it had a step of its own.
             let linker = self.linker(&request, lights, sample);
-            for first_tile in (0..whole).step_by(tiles_at_once) {
-                if stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
-                    break 'step;
-                }
-                let tiles = &mut film.tiles[first_tile..(first_tile + tiles_at_once).min(whole)];
+            let block = |(i, tiles): (usize, &mut [Tile])| {
                 // After an interruption some blocks are a sample ahead.
-                if tiles.iter().all(|t| t.samples == sample) {
-                    rays += self.block(shot, tiles, &aovs, (first_tile, sample), (&linker, briefs), &outlook);
+                let done = tiles.iter().any(|t| t.samples != sample);
+                if done || stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
+                    return 0;
                 }
-            }
+                self.block(shot, tiles, &aovs, (i * tiles_at_once, sample), (&linker, briefs), &outlook)
+            };
+            rays += film.tiles.par_chunks_mut(tiles_at_once).enumerate().map(block).sum::<u64>();
         }
         self.counts.steps.fetch_add(1, Ordering::Relaxed);
         self.counts.light_vertices.fetch_add(lights.vertices.len() as u64, Ordering::Relaxed);

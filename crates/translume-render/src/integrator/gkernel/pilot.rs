@@ -6,10 +6,10 @@
 //! with its power so that none is forgotten.
 
 use super::eye::EyeVertex;
-use super::light::{Brief, LightPaths};
+use super::light::{Brief, LightPaths, Request};
 use super::link::{self, Candidates};
 use super::weight::Weighing;
-use super::{Block, GKernel, MOST_TRIALS};
+use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS};
 use crate::film::Film;
 use crate::light::Starts;
 use crate::render::Shot;
@@ -113,22 +113,25 @@ impl GKernel {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let request = self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, (1.0, 1.0)), starts));
+        let request = few(self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, (1.0, 1.0)), starts)));
         let mut lights = LightPaths::trace(&request);
+        // Of a step's.
+        let part = request.count as f32 / self.light_paths(shot) as f32;
+        let wanted = CANDIDATES * part;
         for _ in 0..8 {
             let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);
             let counts = if self.method.shrink { [first, others] } else { [first; 2] };
-            if counts.iter().all(|c| (c / CANDIDATES - 1.0).abs() < 0.1) {
+            if counts.iter().all(|c| (c / wanted - 1.0).abs() < 0.1) {
                 break;
             }
-            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (CANDIDATES / c.max(0.05 * CANDIDATES)).sqrt());
+            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
             lights.refit(&bandwidth(h));
         }
         // Light vertices per path that see a point.
-        let mut scale = PI * h[0].powi(2) * lights.count as f32;
+        let mut scale = PI * h[0].powi(2) * lights.count as f32 / part;
         if self.method.acceptance {
-            let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1);
-            scale *= (self.links * self.groups(&flock.eyes).len() as f32 / candidates as f32).min(1.0);
+            let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1) as f32 / part;
+            scale *= (self.links * self.groups(&flock.eyes).len() as f32 / candidates).min(1.0);
         }
         (h, if self.method.weights { scale } else { scale * lights.typical_area() })
     }
@@ -139,7 +142,7 @@ impl GKernel {
         // The camera's vertices with the weights that links take.
         let path = (self.weighed(shot, pilot.h, (pilot.scale, pilot.steadiness)), &pilot.starts);
         let flock = self.flock(shot, path);
-        let request = self.request(shot, STEP, bandwidth, path);
+        let request = few(self.request(shot, STEP, bandwidth, path));
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;
@@ -170,6 +173,11 @@ struct Shine {
     brought: Vec<f32>,
     /// See [`Pilot`].
     steadiness: f32,
+}
+
+/// The pilot's light paths.
+fn few(request: Request) -> Request {
+    Request { count: (request.count / 4).max(FEWEST_PATHS).min(request.count), ..request }
 }
 
 /// Camera vertices of the pilot, and the tiles that they belong to.

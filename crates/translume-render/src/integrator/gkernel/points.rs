@@ -7,7 +7,7 @@ use glam::Vec3;
 use translume_mesh::Bounds;
 
 /// Points in a leaf.
-const LEAF: usize = 8;
+const LEAF: usize = 16;
 
 /// Points below which one thread builds.
 const ALONE: usize = 4096;
@@ -50,7 +50,8 @@ impl Points {
             return;
         }
         let b = &self.boxes[node];
-        if b.is_empty() || ball.0.max(b.lo).min(b.hi).distance_squared(ball.0) > ball.1 {
+        // An empty box is infinitely far.
+        if ball.0.max(b.lo).min(b.hi).distance_squared(ball.0) > ball.1 {
             return;
         }
         let middle = begin + (end - begin) / 2;

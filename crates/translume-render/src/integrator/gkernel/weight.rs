@@ -8,10 +8,17 @@
 //! - the default (`weights`): without p^L(z_j), which the radius R ∝ 1/√p^L(z_j) cancels. A merge is then what it is, a connection of
 //!   z_{j−1} to z_j that is made c = N π h² times.
 //!
-//! Either way p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i), with g_j = c or κ p^L(z_j), and g = 1 for the camera's path that
-//! meets the light; emitter sampling has the density p^D(z₀) in the place of p^E(z₀). Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
+//! Either way p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i), with g_j = c χ_j or κ p^L(z_j), and g = 1 for the camera's path that meets the
+//! light; emitter sampling has the density p^D(z₀) in the place of p^E(z₀). χ_j ≤ 1 is the part of the c links that footprints of bounded size
+//! leave at flat angles ([`Landing`]): trusted like the others, rare links of large value would be fireflies. p^D counts more the less its samples
+//! differ ([`Weighing::emitters`]). Neighbours differ by one vertex, so sums run along the two walks: with r_i = p^L(z_i)/p^E(z_i) on the
 //! camera's side A = r_t (g_{t−1} + r_{t−1} (g_{t−2} + …)), with q_i = p^E(z_i)/p^L(z_i) on the light's B = q_m (g_m + q_{m−1} (…)),
-//! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the vertex (`behind`).
+//! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the
+//! vertex (`behind`).
+//!
+//! Limit: that merges at a vertex share the camera's path to it (Grittmann et al. 2021) is not known to the weights. Their correction is made of
+//! products along the whole path, which sums along two walks cannot hold; it would only concern photons behind mirrors, since
+//! a vertex makes about one link.
 
 use super::light::{LEAST_COS, Reach};
 

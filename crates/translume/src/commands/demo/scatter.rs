@@ -317,7 +317,13 @@ fn size(folder: &Path) -> anyhow::Result<u64> {
 fn text(dir: &Path, positions: usize, seconds: f64, megabytes: f64) -> String {
     let folder = escape(&dir.join("scatter").display().to_string());
     format!(
-        "<p>Marble with dark veins inside, 15 mm long. A simulated laser lights {positions} places of it in turn, and cameras see the          light that comes out around each: {megabytes:.0} MB of frames, simulated in {seconds:.1} s. Two models are fitted to them. The          dipole has one fall-off by distance for the whole object, times a texture. The hierarchical one keeps how much light comes          from each place to each other.</p>\n<p>Then both are lit by lights that the capture does not have, beside photons followed          through the marble itself. A vein that light cannot pass is dark from behind and stops the glow around a spot: that is in what          was measured, and in no fall-off that is the same everywhere. The errors are relative RMSE over the pixels, the noise of the          truth taken out. By hand:</p>\n<pre>\
+        "<p>Marble with dark veins inside, 15 mm long. A simulated laser lights {positions} places of it in turn, and cameras see the \
+         light that comes out around each: {megabytes:.0} MB of frames, simulated in {seconds:.1} s. Two models are fitted to them. The \
+         dipole has one fall-off by distance for the whole object, times a texture. The hierarchical one keeps how much light comes \
+         from each place to each other.</p>\n<p>Then both are lit by lights that the capture does not have, beside photons followed \
+         through the marble itself. A vein that light cannot pass is dark from behind and stops the glow around a spot: that is in what \
+         was measured, and in no fall-off that is the same everywhere. The errors are relative RMSE over the pixels, the noise of the \
+         truth taken out. By hand:</p>\n<pre>\
          translume scatter simulate marble --pattern {PATTERN} --mesh {folder}/object.ply \\\n    \
          --spacing {SPACING_MM} --beam {BEAM_MM} --photons {PHOTONS} --evenness {EVENNESS} -o capture/\n\
          translume scatter fit {folder}/capture --model hierarchical --threshold {THRESHOLD} -o model/\n\

@@ -9,6 +9,9 @@ use translume_scatter::hierarchical::{
     AtlasParams, HierarchicalHead, HierarchicalParams, Losses, Stage, Step, fit_hierarchical, save_hierarchical,
 };
 
+/// Share of measured pairs below which a model says more about its completion than about the object.
+const FEW: f64 = 0.05;
+
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     if args.shared || args.gains || args.free_scale || args.uniform || args.segments != 1 {
         let what = "--shared, --gains, --free-scale, --uniform and --segments are about fall-offs; the hierarchical model has none";
@@ -35,6 +38,15 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     warn(args, &told.losses, ctx);
+    if told.completion.measured < FEW && args.threshold > 0.0 {
+        ctx.warn(format!(
+            "{}: only {:.1} % of the pairs of vertices are above --threshold {} and measured, the others are guessed; where the laser's power varies \
+             (simulate --evenness) or frames are faint, --threshold 0 takes all samples",
+            args.input.display(),
+            100.0 * told.completion.measured,
+            args.threshold
+        ));
+    }
     let head = HierarchicalHead::new(&model, &told, ctx.command_line.clone(), args.threshold);
     save_hierarchical(&args.output, &head, &model)?;
     let texels = model.atlas.texels.len();
