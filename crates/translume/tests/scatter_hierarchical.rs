@@ -64,7 +64,7 @@ fn an_object_is_captured_fitted_relit_and_reported() {
     assert!(number("vertices") == 114.0 && number("measured") > 0.3 && number("never_lit") > 0.0, "{fitted}");
     assert!(number("measured_kernels") > 100.0 && number("measured_kernels") < number("kernels"), "{fitted}");
 
-    let scarce = translume(dir, &["scatter", "fit", "c", "--model", "hierarchical", "--threshold", "50", "-o", "s"]);
+    let scarce = translume(dir, &["scatter", "fit", "c", "--model", "hierarchical", "--threshold", "0.5", "-o", "s"]);
     assert!(scarce.status == 0 && scarce.stderr.contains("--threshold 0"), "{}", scarce.stderr);
 
     fs::write(dir.join("lights.json"), LIGHTS).unwrap();
