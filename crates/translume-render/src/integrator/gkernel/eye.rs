@@ -145,9 +145,8 @@ impl<'a> Eye<'a> {
         let met = if sample.delta { 0.0 } else { self.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
         let (begin, next) = lights.pdf_start(self.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let reach = if point.far { Reach::Parallel(next) } else { Reach::Distance(distance) };
-        let merged = self.weighing.own(Way::Link, self.weighing.landing(onto_y, reach))
-            + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
+        let at = self.weighing.landing(onto_y, Reach::from_light(&point, next, distance));
+        let merged = self.weighing.own(Way::Link, at) + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
         let others = met + self.weighing.times(begin / own, merged);
         let cos = y.hit.n().dot(sample.wi).abs();
         visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))

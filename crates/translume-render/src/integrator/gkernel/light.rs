@@ -6,7 +6,7 @@
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
 use super::weight::{Landing, Way, Weighing};
-use crate::light::{End, LightStart, Starts};
+use crate::light::{End, LightPoint, LightStart, Starts};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -63,6 +63,14 @@ pub(crate) enum Reach {
     Distance(f32),
     /// From a direction, with this density per area across it.
     Parallel(f32),
+}
+
+impl Reach {
+    /// Of what is this far from the light's `point`, by the second density of [`crate::light::Lights::pdf_start`].
+    #[inline]
+    pub(crate) fn from_light(point: &LightPoint, next: f32, distance: f32) -> Self {
+        if point.far { Self::Parallel(next) } else { Self::Distance(distance) }
+    }
 }
 
 /// Where a light path met a surface.
@@ -365,7 +373,7 @@ impl LightPaths {
 /// From `start` to `p`.
 fn reach(start: &LightStart, p: Vec3) -> Reach {
     let point = start.point();
-    if point.far { Reach::Parallel(start.pdf_next()) } else { Reach::Distance((p - point.p).length()) }
+    Reach::from_light(&point, start.pdf_next(), (p - point.p).length())
 }
 
 /// Rays around a vertex.

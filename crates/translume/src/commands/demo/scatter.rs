@@ -3,14 +3,14 @@
 
 use super::Part;
 use crate::commands::page::{Chapter, Figure, Table, escape};
+use crate::commands::scatter::picture::{white, write_png};
 use crate::output::Context;
 use anyhow::{Context as _, anyhow, ensure};
 use serde_json::json;
 use std::f32::consts::FRAC_PI_4;
 use std::path::Path;
 use std::time::Instant;
-use translume_image::colour::linear_to_srgb;
-use translume_image::{Error, atomic, write_png8};
+use translume_image::{Error, atomic};
 use translume_mesh::glam::Vec3;
 use translume_mesh::{TriMesh, ply};
 use translume_scatter::capture::{Capture, Surface};
@@ -252,7 +252,7 @@ fn error(picture: &Picture, halves: &[Picture; 2]) -> f64 {
 
 /// A row of pictures under one light, with one white.
 fn show(folder: &Path, name: &str, said: &str, relit: &Relit) -> anyhow::Result<Vec<Figure>> {
-    let white = white(&relit.truth, 0.97);
+    let white = white(&relit.truth, 97);
     let figures = [
         (
             "truth",
@@ -264,7 +264,7 @@ fn show(folder: &Path, name: &str, said: &str, relit: &Relit) -> anyhow::Result<
     ];
     let figure = |(what, caption, picture): (&str, String, &Picture)| {
         let file = format!("{name}-{what}.png");
-        save(&folder.join(&file), SIZE, picture, white)?;
+        write_png(&folder.join(&file), SIZE, picture, white)?;
         Ok(Figure { file: format!("scatter/{file}"), caption })
     };
     figures.into_iter().map(figure).collect()
@@ -285,23 +285,11 @@ fn frames(folder: &Path, capture: &Capture) -> anyhow::Result<Vec<Figure>> {
         let planes = planes.context("a frame of the capture is missing")?;
         let picture: Picture = (0..rows * columns).map(|k| [0, 1, 2].map(|c| planes[c][k])).collect();
         let file = format!("frame-{}.png", i + 1);
-        save(&folder.join(&file), (columns, rows), &picture, white(&picture, 0.99))?;
+        write_png(&folder.join(&file), (columns, rows), &picture, white(&picture, 99))?;
         let caption = format!("Laser position {position}, as the camera of view {view} saw it");
         row.push(Figure { file: format!("scatter/{file}"), caption });
     }
     Ok(row)
-}
-
-/// What is shown as white: a share `q` of what is lit is darker.
-fn white(picture: &Picture, q: f64) -> f32 {
-    let mut levels: Vec<f32> = picture.iter().flatten().copied().filter(|v| *v > 0.0).collect();
-    levels.sort_unstable_by(f32::total_cmp);
-    levels.get((levels.len() as f64 * q) as usize).copied().unwrap_or(1.0)
-}
-
-fn save(path: &Path, size: (usize, usize), picture: &Picture, white: f32) -> anyhow::Result<()> {
-    let code = |v: &f32| (linear_to_srgb((v / white).clamp(0.0, 1.0)) * 255.0).round() as u8;
-    Ok(write_png8(path, size, &picture.iter().flatten().map(code).collect::<Vec<_>>())?)
 }
 
 /// Bytes of the files in a folder.

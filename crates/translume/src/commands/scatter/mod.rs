@@ -2,7 +2,7 @@
 
 mod fit;
 mod fit_hierarchical;
-mod picture;
+pub(super) mod picture;
 mod plot;
 mod register;
 mod relight;
