@@ -182,7 +182,7 @@ impl Sample<'_, '_> {
         let point = path.start.point();
         for (i, (v, shading)) in self.light.vertices.iter().zip(&self.light.shadings).enumerate() {
             if v.parent == subpath::NONE {
-                let pdf = self.world.pdf_direct(&v.hit, shading, &point, v.hit.wo);
+                let pdf = self.world.pdf_direct(&v.hit, shading, None, &point, v.hit.wo);
                 self.direct.push((i as u32, f64::from(pdf) / f64::from(path.start.pdf_begin())));
             }
         }
@@ -267,7 +267,7 @@ impl Sample<'_, '_> {
 
     /// Density of emitter sampling at the camera's vertex number `i` for a point of a light along `wi`.
     fn pdf_direct(&self, v: &Vertex, i: u32, point: &LightPoint, wi: Vec3) -> f32 {
-        self.world.pdf_direct(&v.hit, &self.camera.shadings[i as usize], point, wi)
+        self.world.pdf_direct(&v.hit, &self.camera.shadings[i as usize], None, point, wi)
     }
 
     /// s = 1.
@@ -283,7 +283,9 @@ impl Sample<'_, '_> {
             let n = self.world.receiving_normal(&v.hit, shading);
             let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
             let (p, lights) = (v.hit.point.p, self.world.lights());
-            let value = match lights.sample_numbered(self.world.scene(), p, n, u_choice, u) {
+            let chosen = lights.choose(p, n, None, u_choice);
+            let sample = |of: (usize, f32)| Some((of.0, lights.sample_of(self.world.scene(), p, of, u)?));
+            let value = match chosen.and_then(sample) {
                 Some((light, sample)) => self.direct_from(i, light, &sample),
                 None => Rgb::ZERO,
             };

@@ -7,6 +7,7 @@
 mod environment;
 mod mesh;
 mod point;
+mod seen;
 mod shape;
 mod tree;
 
@@ -16,6 +17,7 @@ use environment::Environment;
 use glam::{Vec2, Vec3};
 pub(crate) use mesh::{Faces, MeshLight, bright_normal};
 use point::PointLight;
+pub(crate) use seen::{Seen, Tried};
 pub(crate) use shape::{Form as ShapeForm, Quadric, ShapeLight, mesh_place, uv_of_sphere};
 use std::f32::consts::{PI, TAU};
 use translume_core::distribution::AliasTable;
@@ -24,6 +26,7 @@ use translume_core::warp;
 use translume_scene::Scene;
 use translume_scene::emitter::Emitter;
 use translume_trace::SurfacePoint;
+pub(crate) use tree::Factors;
 use tree::{LightBounds, LightTree};
 
 /// The other end of a connection to a light.
@@ -229,31 +232,41 @@ impl Lights {
     /// the light that was chosen does not shine here.
     #[inline]
     pub fn sample(&self, scene: &Scene, p: Vec3, n: Vec3, u_choice: f32, u: Vec2) -> Option<LightSample> {
-        Some(self.sample_numbered(scene, p, n, u_choice, u)?.1)
+        let chosen = self.choose(p, n, None, u_choice)?;
+        self.sample_of(scene, p, chosen, u)
     }
 
-    /// The same with the light's number.
+    /// Chooses a light for `p` and `n`, by what is known of those that are seen there; its number and its probability. `None`: none
+    /// shines here.
     #[inline]
-    pub fn sample_numbered(
-        &self,
-        scene: &Scene,
-        p: Vec3,
-        n: Vec3,
-        u_choice: f32,
-        u: Vec2,
-    ) -> Option<(usize, LightSample)> {
+    pub(crate) fn choose(&self, p: Vec3, n: Vec3, seen: Option<Factors>, u: f32) -> Option<(usize, f32)> {
         if self.is_empty() {
             return None;
         }
         let share = self.far_share();
-        let (index, choice) = if u_choice < share {
-            let i = (u_choice / share * self.far.len() as f32) as usize;
-            (self.far[i.min(self.far.len() - 1)], share / self.far.len() as f32)
-        } else {
-            let u = ((u_choice - share) / (1.0 - share)).min(warp::ONE_MINUS_EPSILON);
-            let (index, pmf) = self.tree.sample(p, n, u)?;
-            (index, pmf * (1.0 - share))
-        };
+        if u < share {
+            let i = (u / share * self.far.len() as f32) as usize;
+            return Some((self.far[i.min(self.far.len() - 1)], share / self.far.len() as f32));
+        }
+        let u = ((u - share) / (1.0 - share)).min(warp::ONE_MINUS_EPSILON);
+        let (index, pmf) = self.tree.sample(p, n, seen, u)?;
+        Some((index, pmf * (1.0 - share)))
+    }
+
+    /// Learns from what was tried.
+    pub(crate) fn learn(&self, tried: Vec<Tried>) -> Option<Seen> {
+        Seen::learn(&self.tree, tried)
+    }
+
+    /// Draws a direction from `p` to a light that was chosen with a probability. `None`: it does not shine here.
+    #[inline]
+    pub(crate) fn sample_of(
+        &self,
+        scene: &Scene,
+        p: Vec3,
+        (index, choice): (usize, f32),
+        u: Vec2,
+    ) -> Option<LightSample> {
         let mut sample = match &self.lights[index] {
             Light::Shape(s) => s.sample(scene, p, u)?,
             Light::Point(s) => s.sample(scene, p)?,
@@ -270,17 +283,18 @@ impl Lights {
             },
         };
         sample.pdf_w *= choice;
-        (sample.pdf_w > 0.0 && sample.pdf_w.is_finite() && sample.radiance != Rgb::ZERO).then_some((index, sample))
+        (sample.pdf_w > 0.0 && sample.pdf_w.is_finite() && sample.radiance != Rgb::ZERO).then_some(sample)
     }
 
     /// Density of [`Lights::sample`] at (`p`, `n`) for the point `q` of a light, which lies along `wi`: per area of the
-    /// light's surface; for far lights per solid angle; for lights without extent the probability.
-    pub fn pdf_direct(&self, p: Vec3, n: Vec3, q: &LightPoint, wi: Vec3) -> f32 {
+    /// light's surface; for far lights per solid angle; for lights without extent the probability. `seen` as in the choice.
+    pub(crate) fn pdf_direct(&self, p: Vec3, n: Vec3, seen: Option<&Seen>, q: &LightPoint, wi: Vec3) -> f32 {
         let near = 1.0 - self.far_share();
         let far = if self.far.contains(&q.light) { self.far_share() / self.far.len() as f32 } else { 0.0 };
+        let probability = || self.tree.probability(p, n, seen.map(|s| s.from(p, n)), q.light);
         match &self.lights[q.light] {
-            Light::Shape(_) => q.from_solid_angle(self.pdf_surface(p, n, q.light, q.p, q.n), wi, (q.p - p).length()),
-            Light::Point(_) => near * self.tree.probability(p, n, q.light),
+            Light::Shape(s) => q.from_solid_angle(near * probability() * s.pdf_w(p, q.p, q.n), wi, (q.p - p).length()),
+            Light::Point(_) => near * probability(),
             Light::Directional { .. } => far,
             Light::Environment(e) => far * e.eval_pdf(wi).1,
             Light::Constant { .. } => far * warp::UNIFORM_SPHERE_PDF,
@@ -344,7 +358,7 @@ impl Lights {
     #[inline]
     pub fn pdf_surface(&self, p: Vec3, n: Vec3, light: usize, q: Vec3, nq: Vec3) -> f32 {
         let Light::Shape(shape) = &self.lights[light] else { return 0.0 };
-        (1.0 - self.far_share()) * self.tree.probability(p, n, light) * shape.pdf_w(p, q, nq)
+        (1.0 - self.far_share()) * self.tree.probability(p, n, None, light) * shape.pdf_w(p, q, nq)
     }
 
     /// Begins a light path: a light by `starts`, a place on it by `u`, a direction by `v`.

@@ -79,6 +79,15 @@ struct Node {
     children: [Child; 4],
 }
 
+/// Factors on the importances of the children of the first nodes; only their ratios within a node count.
+pub(crate) type Factors<'a> = &'a [[u8; 4]];
+
+/// A step on the way down to a light.
+pub(crate) struct Trail {
+    pub(crate) node: usize,
+    pub(crate) lane: usize,
+}
+
 /// A node, or (highest bit) a light.
 #[derive(Clone, Copy, Debug)]
 struct Child(u32);
@@ -88,6 +97,11 @@ impl Child {
 
     fn light(self) -> Option<usize> {
         (self.0 & Self::LIGHT != 0).then_some((self.0 & !Self::LIGHT) as usize)
+    }
+
+    /// A missing child is as the root, which is nobody's child.
+    fn node(self) -> Option<usize> {
+        (self.0 & Self::LIGHT == 0 && self.0 > 0).then_some(self.0 as usize)
     }
 }
 
@@ -109,9 +123,10 @@ impl Node {
         }
     }
 
-    /// Bounds of the children's contributions at `p`, whose receiving normal is `n` (zero: receives from everywhere).
+    /// Bounds of the children's contributions at `p`, whose receiving normal is `n` (zero: receives from everywhere), times
+    /// these factors.
     #[inline]
-    fn importance(&self, p: Vec3, n: Vec3) -> [f32; 4] {
+    fn importance(&self, p: Vec3, n: Vec3, factors: f32x4) -> [f32; 4] {
         let [x, y, z] = [self.center[0] - p.x, self.center[1] - p.y, self.center[2] - p.z];
         let d2 = x * x + y * y + z * z;
         let inverse = 1.0 / d2.fast_max(self.radius2).fast_max(f32x4::splat(1e-30)).sqrt();
@@ -129,8 +144,14 @@ impl Node {
         }
         // From inside the sphere around the child nothing is known of directions.
         let known = d2.simd_gt(self.radius2).bitselect(directed, f32x4::ONE);
-        (self.power * (inverse * inverse) * known).to_array()
+        (self.power * factors * (inverse * inverse) * known).to_array()
     }
+}
+
+/// Of a node, from those of all.
+#[inline(always)]
+fn factors(seen: Option<Factors>, node: usize) -> f32x4 {
+    seen.and_then(|of| of.get(node)).map_or(f32x4::ONE, |of| f32x4::new(of.map(f32::from)))
 }
 
 #[inline(always)]
@@ -174,6 +195,7 @@ impl LightTree {
         let mut tree = Self { nodes: Vec::with_capacity(items.len()), trails: vec![None; lights.len()] };
         if !items.is_empty() {
             tree.build(&mut items, 0, 0);
+            tree.nodes = by_level(&tree.nodes);
         }
         tree
     }
@@ -204,12 +226,36 @@ impl LightTree {
         children[1..].iter().fold(children[0].0, |all, (bounds, _)| all.join(bounds))
     }
 
-    /// Chooses a light for the point `p` with normal `n`; its number and its probability. `None`: none contributes.
+    /// How many nodes there are.
+    pub(crate) fn nodes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// The children of a node that are nodes, which come after it.
+    pub(crate) fn children(&self, node: usize) -> impl Iterator<Item = (usize, usize)> {
+        let children = self.nodes[node].children.iter().enumerate();
+        children.filter_map(|(lane, child)| Some((lane, child.node()?)))
+    }
+
+    /// The way down to `light`; none for one that is not in the tree.
+    pub(crate) fn trail(&self, light: usize) -> impl Iterator<Item = Trail> {
+        let mut next = self.trails[light].map(|trail| (Child(0), trail));
+        std::iter::from_fn(move || {
+            let (Child(node), trail) = next.filter(|(child, _)| child.light().is_none())?;
+            let lane = (trail & 3) as usize;
+            next = Some((self.nodes[node as usize].children[lane], trail >> 2));
+            Some(Trail { node: node as usize, lane })
+        })
+    }
+
+    /// Chooses a light for the point `p` with normal `n`; its number and its probability. `None`: none contributes. `seen` is
+    /// what is known there.
     #[inline]
-    pub(crate) fn sample(&self, p: Vec3, n: Vec3, u: f32) -> Option<(usize, f32)> {
-        let (mut node, mut u, mut pmf) = (self.nodes.first()?, u, 1.0);
+    pub(crate) fn sample(&self, p: Vec3, n: Vec3, seen: Option<Factors>, u: f32) -> Option<(usize, f32)> {
+        let (mut at, mut u, mut pmf) = (0, u, 1.0);
         loop {
-            let importance = node.importance(p, n);
+            let node = self.nodes.get(at)?;
+            let importance = node.importance(p, n, factors(seen, at));
             let total: f32 = importance.iter().sum();
             if !(total > 0.0 && total < f32::INFINITY) {
                 return None;
@@ -226,17 +272,18 @@ impl LightTree {
                 return Some((light, pmf));
             }
             u = (rest / importance[lane]).min(translume_core::warp::ONE_MINUS_EPSILON);
-            node = &self.nodes[child.0 as usize];
+            at = child.0 as usize;
         }
     }
 
     /// The chance that [`LightTree::sample`] chooses `light`.
     #[inline]
-    pub(crate) fn probability(&self, p: Vec3, n: Vec3, light: usize) -> f32 {
+    pub(crate) fn probability(&self, p: Vec3, n: Vec3, seen: Option<Factors>, light: usize) -> f32 {
         let Some(Some(mut trail)) = self.trails.get(light).copied() else { return 0.0 };
-        let (mut node, mut pmf) = (&self.nodes[0], 1.0);
+        let (mut at, mut pmf) = (0, 1.0);
         loop {
-            let importance = node.importance(p, n);
+            let node = &self.nodes[at];
+            let importance = node.importance(p, n, factors(seen, at));
             let total: f32 = importance.iter().sum();
             let lane = (trail & 3) as usize;
             if !(importance[lane] > 0.0 && total < f32::INFINITY) {
@@ -248,9 +295,26 @@ impl LightTree {
                 return pmf;
             }
             trail >>= 2;
-            node = &self.nodes[child.0 as usize];
+            at = child.0 as usize;
         }
     }
+}
+
+/// The same nodes, those nearer to the root first.
+fn by_level(nodes: &[Node]) -> Vec<Node> {
+    let mut sorted: Vec<Node> = vec![nodes[0]];
+    let mut at = 0;
+    while at < sorted.len() {
+        for lane in 0..4 {
+            let child = sorted[at].children[lane];
+            if let Some(node) = child.node() {
+                sorted[at].children[lane] = Child(sorted.len() as u32);
+                sorted.push(nodes[node]);
+            }
+        }
+        at += 1;
+    }
+    sorted
 }
 
 /// `items` in two, reordered; one item stays alone.
@@ -327,16 +391,19 @@ mod tests {
         let lights = lights(60);
         let tree = LightTree::new(&lights);
         let mut rng = Pcg32::new(9, 2);
+        // Of the first nodes only, as where there are many.
+        let known: Vec<[u8; 4]> = (0..tree.nodes() - 3).map(|i| [255, 13, 60, (i * 31 % 200) as u8 + 20]).collect();
         for case in 0..20 {
+            let factors = (case % 3 == 0).then_some(known.as_slice());
             let p = Vec3::new(rng.next_f32(), rng.next_f32(), rng.next_f32()) * 8.0 - 4.0;
             let n = if case % 2 == 0 { Vec3::ZERO } else { Vec3::new(rng.next_f32(), 1.0, -0.5).normalize() };
-            let probabilities: Vec<f64> = (0..60).map(|i| f64::from(tree.probability(p, n, i))).collect();
+            let probabilities: Vec<f64> = (0..60).map(|i| f64::from(tree.probability(p, n, factors, i))).collect();
             let total: f64 = probabilities.iter().sum();
             assert!(total < 1.0 + 1e-5);
             let samples = 40_000;
             let mut seen = vec![0.0; 61];
             for _ in 0..samples {
-                match tree.sample(p, n, rng.next_f32()) {
+                match tree.sample(p, n, factors, rng.next_f32()) {
                     Some((i, pmf)) => {
                         assert!((f64::from(pmf) - probabilities[i]).abs() < 1e-5 * probabilities[i].max(1e-3));
                         seen[i] += 1.0;
@@ -367,7 +434,7 @@ mod tests {
                 let way = p - light.bounds.center();
                 let shines = light.theta_o >= PI || way.dot(light.axis) > 1e-4;
                 if light.power > 0.0 && shines {
-                    assert!(tree.probability(p, Vec3::ZERO, i) > 0.0, "{i} at {p}");
+                    assert!(tree.probability(p, Vec3::ZERO, None, i) > 0.0, "{i} at {p}");
                 }
             }
         }
@@ -378,7 +445,7 @@ mod tests {
         let bounds = Bounds { lo: Vec3::ONE, hi: Vec3::ONE };
         let light = LightBounds { bounds, power: 1.0, axis: Vec3::Z, theta_o: PI, theta_e: FRAC_PI_2 };
         let tree = LightTree::new(&vec![Some(light); 1000]);
-        let total: f32 = (0..1000).map(|i| tree.probability(Vec3::ZERO, Vec3::ZERO, i)).sum();
+        let total: f32 = (0..1000).map(|i| tree.probability(Vec3::ZERO, Vec3::ZERO, None, i)).sum();
         assert!((total - 1.0).abs() < 1e-3, "{total}");
     }
 }

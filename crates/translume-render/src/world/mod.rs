@@ -5,7 +5,7 @@ mod hit;
 mod translucent;
 
 use crate::camera::CameraSample;
-use crate::light::{End, LightPoint, Lights, light_of};
+use crate::light::{End, LightPoint, Lights, Seen, light_of};
 use crate::material::{Prepared, Shader};
 use crate::medium::Tracked;
 use crate::texture;
@@ -231,8 +231,15 @@ impl World {
 
     /// [`Lights::pdf_direct`] at `hit`, for the point `q` of a light along `wi`.
     #[inline]
-    pub fn pdf_direct(&self, hit: &SurfaceHit, shading: &Shading, q: &LightPoint, wi: Vec3) -> f32 {
-        self.lights.pdf_direct(hit.point.p, self.receiving_normal(hit, shading), q, wi)
+    pub(crate) fn pdf_direct(
+        &self,
+        hit: &SurfaceHit,
+        shading: &Shading,
+        seen: Option<&Seen>,
+        q: &LightPoint,
+        wi: Vec3,
+    ) -> f32 {
+        self.lights.pdf_direct(hit.point.p, self.receiving_normal(hit, shading), seen, q, wi)
     }
 
     /// Medium numbers on the two sides of the surface at `hit`, if it separates media: away from the normal, and on its side.

@@ -86,7 +86,7 @@ impl Linker<'_> {
             Parent::Vertex(_, shading) => (shading.flags() == Flags::REFLECTION.or(Flags::DIFFUSE)).then_some(1.0 / PI),
         };
         let density = |d: Vec3| match parent {
-            Parent::Start(start) => self.world.lights().pdf_start(self.starts, &start.point(), d).1,
+            Parent::Start(start) => self.world.lights().pdf_start(self.plan.starts, &start.point(), d).1,
             Parent::Vertex(p, shading) => {
                 self.world.shading_from(&p.hit, shading, p.hit.wo).eval_cos_pdf(p.hit.wo, d, Mode::Importance).1
             }

@@ -2,9 +2,10 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
+use super::Plan;
 use super::light::Reach;
 use super::weight::{Way, Weighing};
-use crate::light::{LightPoint, Starts};
+use crate::light::{Factors, LightPoint};
 use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb};
@@ -53,9 +54,7 @@ pub(crate) struct Eye<'a> {
     pub(crate) world: &'a World,
     pub(crate) limits: Limits,
     pub(crate) hide_lights: bool,
-    pub(crate) weighing: Weighing,
-    /// Where the light paths begin.
-    pub(crate) starts: &'a Starts,
+    pub(crate) plan: Plan<'a>,
 }
 
 impl<'a> Eye<'a> {
@@ -98,12 +97,11 @@ impl<'a> Eye<'a> {
                 back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
                 before: parent.map_or(1.0, |p| p.pdf),
                 distance: parent.map_or(0.0, |p| between(p, &v.hit)),
-                way: Way::of(parent.is_none_or(|p| p.delta), false),
+                way: Way::of(parent.is_none_or(|p| p.delta), Some(false)),
                 behind: behind[i],
             };
-            if self.weighing.emitters > 0.0 {
-                let samples = emitter_samples(self.world, y.depth);
-                (0..samples).for_each(|_| radiance += self.lit(&y, samples as f32, &mut emitters, rays));
+            if self.plan.weighing.emitters > 0.0 {
+                radiance += self.lit(&y, &mut emitters, rays);
             }
             out.push(y);
         }
@@ -118,18 +116,33 @@ impl<'a> Eye<'a> {
     fn behind(&self, path: &[Vertex], behind: &[f32], parent: u32) -> f32 {
         let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
         let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
-        let way = Way::of(above.delta, parent_vertex.delta);
-        let at = self.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)));
-        self.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
+        let way = Way::of(above.delta, Some(parent_vertex.delta));
+        let at = self.plan.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)));
+        self.plan.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
+    }
+
+    /// Emitter sampling at `y`.
+    fn lit(&self, y: &EyeVertex, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
+        let (p, n) = (y.hit.point.p, self.world.receiving_normal(&y.hit, &y.shading));
+        let seen = self.plan.seen.map(|s| s.from(p, n));
+        let samples = emitter_samples(self.world, y.depth);
+        (0..samples).map(|_| self.lit_once(y, (n, seen), samples as f32, sampler, rays)).sum()
     }
 
     /// One of `samples` of the light that falls on `y`.
-    fn lit(&self, y: &EyeVertex, samples: f32, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
+    fn lit_once(
+        &self,
+        y: &EyeVertex,
+        (n, seen): (Vec3, Option<Factors>),
+        samples: f32,
+        sampler: &mut PathSampler,
+        rays: &mut u64,
+    ) -> Rgb {
         let (world, lights) = (self.world, self.world.lights());
         let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
-        let n = world.receiving_normal(&y.hit, &y.shading);
         let p = y.hit.point.p;
-        let Some((light, sample)) = lights.sample_numbered(world.scene(), p, n, u_choice, u) else { return Rgb::ZERO };
+        let Some(chosen) = lights.choose(p, n, seen, u_choice) else { return Rgb::ZERO };
+        let Some(sample) = lights.sample_of(world.scene(), p, chosen, u) else { return Rgb::ZERO };
         let Some(here) = scattering(world, &y.hit, &y.shading, sample.wi, y.hit.wo) else { return Rgb::ZERO };
         *rays += 1;
         let segment = World::segment(&y.hit.point, sample.wi, &sample.end);
@@ -138,16 +151,17 @@ impl<'a> Eye<'a> {
         if visible == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let point = sample.point(light);
+        let point = sample.point(chosen.0);
         let distance = (point.p - p).length();
         let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
-        let own = self.weighing.emitters * samples * per_point(sample.pdf_w);
-        let met = if sample.delta { 0.0 } else { self.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
-        let (begin, next) = lights.pdf_start(self.starts, &point, -sample.wi);
+        let own = self.plan.weighing.emitters * samples * per_point(sample.pdf_w);
+        let met = if sample.delta { 0.0 } else { self.plan.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
+        let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let at = self.weighing.landing(onto_y, Reach::from_light(&point, next, distance));
-        let merged = self.weighing.own(Way::Link, at) + y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
-        let others = met + self.weighing.times(begin / own, merged);
+        let at = self.plan.weighing.landing(onto_y, Reach::from_light(&point, next, distance));
+        let merged =
+            self.plan.weighing.own(Way::Direct, at) + y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
+        let others = met + self.plan.weighing.times(begin / own, merged);
         let cos = y.hit.n().dot(sample.wi).abs();
         visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
     }
@@ -156,19 +170,21 @@ impl<'a> Eye<'a> {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
-        let (begin, next) = self.world.lights().pdf_start(self.starts, &point, v.hit.wo);
+        let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
-        let at = self.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
-        let inner = self.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
+        let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
+        let inner = self.plan.weighing.add(Way::of(parent.delta, None), at, back / parent.pdf, behind);
         let direct = match parent.delta {
-            false if self.weighing.emitters > 0.0 => {
+            false if self.plan.weighing.emitters > 0.0 => {
                 let samples = emitter_samples(self.world, depth - 1) as f32;
                 let shading = self.world.shading(&parent.hit);
-                samples * self.world.pdf_direct(&parent.hit, &shading, &point, -v.hit.wo) / v.pdf
+                samples * self.world.pdf_direct(&parent.hit, &shading, self.plan.seen, &point, -v.hit.wo) / v.pdf
             }
             _ => 0.0,
         };
-        v.throughput * radiance * weight(self.weighing.times(begin / v.pdf, inner) + self.weighing.direct(direct))
+        v.throughput
+            * radiance
+            * weight(self.plan.weighing.times(begin / v.pdf, inner) + self.plan.weighing.direct(direct))
     }
 
     fn escaped(&self, path: &[Vertex], escape: &Escape, depth: u32, behind: f32) -> Rgb {
@@ -180,13 +196,14 @@ impl<'a> Eye<'a> {
         let one = |far: crate::light::FarLight| {
             let Some(parent) = parent else { return far.radiance };
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
-            let (begin, next) = lights.pdf_start(self.starts, &point, -escape.d);
+            let (begin, next) = lights.pdf_start(self.plan.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
-            let at = self.weighing.landing(back, Reach::Parallel(next));
-            let inner = self.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
+            let at = self.plan.weighing.landing(back, Reach::Parallel(next));
+            let inner = self.plan.weighing.add(Way::of(parent.delta, None), at, back / parent.pdf, behind);
             let direct =
                 if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w / escape.pdf_w };
-            far.radiance * weight(self.weighing.times(begin / escape.pdf_w, inner) + self.weighing.direct(direct))
+            far.radiance
+                * weight(self.plan.weighing.times(begin / escape.pdf_w, inner) + self.plan.weighing.direct(direct))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }

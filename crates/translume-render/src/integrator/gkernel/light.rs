@@ -5,8 +5,9 @@
 //! parent may be made (the parent scatters in more than single directions) and whether the surface around it is flat as
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
-use super::weight::{Landing, Way, Weighing};
-use crate::light::{End, LightPoint, LightStart, Starts};
+use super::Plan;
+use super::weight::{Landing, Way};
+use crate::light::{End, LightPoint, LightStart};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -136,7 +137,7 @@ impl LightVertex {
     /// What may happen here.
     #[inline]
     pub(crate) fn way(&self) -> Way {
-        Way::of(!self.linked() && !self.merged(), self.merged())
+        Way::of(!self.linked() && !self.merged(), (!self.first()).then_some(self.merged()))
     }
 
     /// cos θ at this vertex towards the parent.
@@ -187,8 +188,7 @@ pub(crate) struct Request<'a> {
     pub(crate) world: &'a World,
     pub(crate) limits: Limits,
     pub(crate) bandwidth: Bandwidth,
-    pub(crate) weighing: Weighing,
-    pub(crate) starts: &'a Starts,
+    pub(crate) plan: Plan<'a>,
     /// Of the random numbers, and the stream: the step.
     pub(crate) seed: u64,
     pub(crate) step: u64,
@@ -235,9 +235,14 @@ impl LightPaths {
             false => PathSampler::new(request.seed, STREAM | request.step << 32 | u64::from(path), 0),
         };
         buffer.clear();
-        let Some(light) =
-            subpath::light_path(request.world, request.starts, request.limits, &mut sampler, &mut self.rays, buffer)
-        else {
+        let Some(light) = subpath::light_path(
+            request.world,
+            request.plan.starts,
+            request.limits,
+            &mut sampler,
+            &mut self.rays,
+            buffer,
+        ) else {
             return;
         };
         self.starts.push(light.start);
@@ -266,28 +271,29 @@ impl LightPaths {
             }
         };
         let behind = match parent {
-            None => request.weighing.of_light(light.start.delta),
+            None => request.plan.weighing.of_light(light.start.delta),
             Some(parent) => {
                 let above = path.get(parent.parent as usize);
                 let ratio = match above {
                     Some(above) => above.pdf_back / above.pdf,
                     None => light.pdf_back / light.start.pdf_begin(),
                 };
-                let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
+                let way = Way::of(parent.delta, above.map(|a| a.delta));
                 let before = &self.vertices[base + v.parent as usize];
-                request.weighing.add(way, before.landing(), ratio, before.behind) + before.direct
+                request.plan.weighing.add(way, before.landing(), ratio, before.behind) + before.direct
             }
         };
         let direct = match parent {
-            None if request.weighing.emitters > 0.0 && !v.delta => {
-                let pdf = request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), &point, wo);
-                request.weighing.direct(pdf / light.start.pdf_begin())
+            None if request.plan.weighing.emitters > 0.0 && !v.delta => {
+                let pdf =
+                    request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), request.plan.seen, &point, wo);
+                request.plan.weighing.direct(pdf / light.start.pdf_begin())
             }
             _ => 0.0,
         };
         let delta = parent.is_some_and(|p| p.delta);
         let usable = v.pdf > 0.0 && v.survival > 0.0 && v.passed > 0.0;
-        let (linked, merged) = (!delta && usable, delta && usable && request.weighing.photons > 0.0);
+        let (linked, merged) = (!delta && usable, delta && usable && request.plan.weighing.photons > 0.0);
         let radius = match (merged, delta) {
             (true, _) => request.bandwidth.photon,
             // A mirror passes the footprint on as it is.
@@ -298,7 +304,7 @@ impl LightPaths {
             hit: v.hit,
             throughput: v.throughput,
             pdf: v.pdf,
-            chance: request.weighing.landing(v.pdf, reach).chance,
+            chance: request.plan.weighing.landing(v.pdf, reach).chance,
             radius,
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
@@ -355,7 +361,7 @@ impl LightPaths {
                 (Reach::Distance((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
             };
             self.vertices[i].radius = match v.way() {
-                Way::Link => bandwidth.radius(v.pdf, reach, before),
+                Way::Direct | Way::Link => bandwidth.radius(v.pdf, reach, before),
                 Way::Merge => bandwidth.photon,
                 Way::Closed => before.unwrap_or(0.0),
             };

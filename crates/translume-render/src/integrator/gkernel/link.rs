@@ -9,12 +9,13 @@
 //! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
 //! [`Linker::share`].
 
+use super::Plan;
 use super::eye::{EyeVertex, emitter_samples};
 use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
 use super::points::Points;
-use super::weight::{Way, Weighing};
-use crate::light::{End, LightStart, Starts};
+use super::weight::Way;
+use crate::light::{End, LightStart};
 use crate::subpath::{Scattering, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, World};
 use crate::{PathSampler, Rgb};
@@ -148,12 +149,10 @@ pub(crate) struct Linker<'a> {
     pub(crate) world: &'a World,
     pub(crate) lights: &'a LightPaths,
     pub(crate) bandwidth: Bandwidth,
-    pub(crate) weighing: Weighing,
+    pub(crate) plan: Plan<'a>,
     pub(crate) normalise: Normalise,
     /// The kernel falls to the footprint's rim.
     pub(crate) smooth: bool,
-    /// Where the light paths begin.
-    pub(crate) starts: &'a Starts,
     /// Longest path in segments.
     pub(crate) max: u32,
     /// Of the random numbers.
@@ -238,9 +237,9 @@ impl<'a> Linker<'a> {
             return none;
         }
         let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
-        let own = self.weighing.own(Way::Merge, v.landing());
-        let camera = y.nearer(&self.weighing, v.pdf, here.pdf_to_camera);
-        let light = self.weighing.times(here.pdf_to_light * v.back, v.behind);
+        let own = self.plan.weighing.own(Way::Merge, v.landing());
+        let camera = y.nearer(&self.plan.weighing, v.pdf, here.pdf_to_camera);
+        let light = self.plan.weighing.times(here.pdf_to_light * v.back, v.behind);
         let weight = own / (own + camera + light);
         let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let area = PI * v.radius * v.radius * self.lights.count as f32 * self.kernel_mean();
@@ -349,7 +348,7 @@ impl<'a> Linker<'a> {
                     });
                 }
                 let (wi, distance) = toward(y, start.p)?;
-                let (_, pdf_w) = self.world.lights().pdf_start(self.starts, &point, -wi);
+                let (_, pdf_w) = self.world.lights().pdf_start(self.plan.starts, &point, -wi);
                 let radiance = self.world.lights().emitted(self.world.scene(), start, -wi);
                 let cos = if point.n == Vec3::ZERO { 1.0 } else { point.n.dot(-wi) };
                 if pdf_w <= 0.0 || cos <= 0.0 || radiance == Rgb::ZERO {
@@ -415,36 +414,37 @@ impl<'a> Linker<'a> {
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
     #[inline]
     pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
-        let own = self.weighing.own(v.way, v.at);
-        let camera = y.nearer(&self.weighing, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
-        let light = self.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
+        let own = self.plan.weighing.own(v.way, v.at);
+        let camera = y.nearer(&self.plan.weighing, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
+        let light = self.plan.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
         own / (own + camera + light)
     }
 
     /// Density with which emitter sampling at `y` finds the light's point.
     fn pdf_direct(&self, start: &LightStart, arrival: &Arrival, y: &EyeVertex) -> f32 {
-        if self.weighing.emitters == 0.0 {
+        if self.plan.weighing.emitters == 0.0 {
             return 0.0;
         }
         let samples = emitter_samples(self.world, y.depth) as f32;
-        samples * self.world.pdf_direct(&y.hit, &y.shading, &start.point(), arrival.wi)
+        samples * self.world.pdf_direct(&y.hit, &y.shading, self.plan.seen, &start.point(), arrival.wi)
     }
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let own = self.weighing.own(Way::Link, self.weighing.landing(onto_y, arrival.reach));
-        let camera = y.nearer(&self.weighing, onto_y, here.pdf_to_camera);
+        let way = if let Parent::Start(_) = parent { Way::Direct } else { Way::Link };
+        let own = self.plan.weighing.own(way, self.plan.weighing.landing(onto_y, arrival.reach));
+        let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {
             Parent::Start(start) => {
-                let (w, begin) = (&self.weighing, start.pdf_begin());
+                let (w, begin) = (&self.plan.weighing, start.pdf_begin());
                 w.times(parent_pdf / begin, w.of_light(start.delta))
                     + w.direct(self.pdf_direct(start, arrival, y) / begin)
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                let inner = self.weighing.add(p.way(), p.landing(), there * p.back, p.behind) + p.direct;
-                self.weighing.times(parent_pdf / p.pdf, inner)
+                let inner = self.plan.weighing.add(p.way(), p.landing(), there * p.back, p.behind) + p.direct;
+                self.plan.weighing.times(parent_pdf / p.pdf, inner)
             }
         };
         own / (own + camera + light)

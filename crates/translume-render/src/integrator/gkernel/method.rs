@@ -32,6 +32,8 @@ pub(crate) struct Method {
     pub(crate) acceptance: bool,
     /// Lights are sampled at camera vertices as well.
     pub(crate) emitters: bool,
+    /// That sampling knows which lights a pilot found to be seen from where.
+    pub(crate) seen: bool,
     /// Weights know how steady those samples are.
     pub(crate) steady: bool,
     /// Light paths of a step are points of a low-discrepancy sequence.
@@ -41,7 +43,7 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 16] = [
+pub(crate) const OPTIONS: [Choice; 17] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: a quarter as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
@@ -66,6 +68,11 @@ pub(crate) const OPTIONS: [Choice; 16] = [
         about: "weight in a footprint: `even`, or falling `smooth`ly to its rim",
     },
     Choice { name: "emitters", default: "auto", about: "sample lights at camera vertices as well, as path does" },
+    Choice {
+        name: "seen",
+        default: "auto",
+        about: "that sampling knows which lights are seen from where, as a pilot found",
+    },
     Choice { name: "steady", default: "auto", about: "weights know how little samples of lights differ" },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
     Choice {
@@ -109,6 +116,7 @@ impl Method {
             smooth: options.choice("kernel", ["auto", "even", "smooth"])? == 2,
             acceptance: auto("acceptance")?,
             emitters: auto("emitters")?,
+            seen: auto("seen")?,
             steady: auto("steady")?,
             sobol: auto("sobol")?,
             weights: auto("weights")?,

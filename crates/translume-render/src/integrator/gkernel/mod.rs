@@ -7,7 +7,7 @@
 //! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
 //! camera paths, one a step or more.
 //!
-//! Nothing needs to be set: h is found by the number of footprints of direct light per camera vertex (M = 10), the number
+//! Nothing needs to be set: h is found by the number of footprints per camera vertex (M = 10; 3 of direct light beside emitter sampling), the number
 //! of trial links by the share that a pilot found unoccluded, per tile for the first vertex and per depth beyond.
 //!
 //! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
@@ -28,7 +28,7 @@ mod weight;
 
 use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
-use crate::light::Starts;
+use crate::light::{Seen, Starts};
 use crate::render::Shot;
 use crate::subpath::{Limits, Vertex};
 use crate::world::World;
@@ -92,6 +92,16 @@ const BLOCK: usize = 1 << 15;
 
 /// Exponent of progressive photon mapping: h² falls as steps^(α − 1).
 const ALPHA: f32 = 2.0 / 3.0;
+
+/// How paths are drawn and weighed.
+#[derive(Clone, Copy)]
+struct Plan<'a> {
+    weighing: Weighing,
+    /// Where light paths begin.
+    starts: &'a Starts,
+    /// What is known of the lights that camera vertices see, for sampling them.
+    seen: Option<&'a Seen>,
+}
 
 /// The light paths of a step.
 struct Traced {
@@ -168,7 +178,7 @@ impl GKernel {
         }
     }
 
-    fn weighing(&self, (scale, steadiness): (f32, f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
+    fn weighing(&self, (scale, steadiness): ([f32; 2], f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
         let photons = if self.method.caustics { photons } else { 0.0 };
         let emitters = if self.method.emitters { steadiness } else { 0.0 };
@@ -180,13 +190,7 @@ impl GKernel {
         if self.light_paths > 0 { self.light_paths } else { (w * h / 4).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
-    fn request<'a>(
-        &self,
-        shot: &Shot<'a>,
-        step: u64,
-        bandwidth: Bandwidth,
-        (weighing, starts): (Weighing, &'a Starts),
-    ) -> Request<'a> {
+    fn request<'a>(&self, shot: &Shot<'a>, step: u64, bandwidth: Bandwidth, plan: Plan<'a>) -> Request<'a> {
         Request {
             world: shot.world,
             limits: Limits {
@@ -194,8 +198,7 @@ impl GKernel {
                 rr_depth: self.settings.rr_depth,
             },
             bandwidth,
-            weighing,
-            starts,
+            plan,
             seed: shot.seed,
             step,
             count: self.light_paths(shot),
@@ -207,13 +210,13 @@ impl GKernel {
     fn eyes<'a>(
         &self,
         shot: &Shot<'a>,
-        (weighing, starts): (Weighing, &'a Starts),
+        plan: Plan<'a>,
         tile: &Tile,
         sample: u64,
         wanted: impl Fn(usize) -> bool,
     ) -> Block<'a> {
         let limits = Limits { segments: self.settings.most_segments(), rr_depth: self.settings.rr_depth };
-        let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, weighing, starts };
+        let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, plan };
         let mut block = Block { eyes: Vec::new(), radiance: Vec::new(), rays: 0 };
         let mut buffer: Vec<Vertex> = Vec::new();
         for i in (0..tile.sums.len()).filter(|i| wanted(*i)) {
@@ -231,10 +234,9 @@ impl GKernel {
             world: request.world,
             lights,
             bandwidth: request.bandwidth,
-            weighing: request.weighing,
+            plan: request.plan,
             normalise: self.method.normalise,
             smooth: self.method.smooth,
-            starts: request.starts,
             max: self.settings.most_segments(),
             seed: (request.seed, sample),
         }
@@ -302,7 +304,7 @@ impl GKernel {
             .par_iter_mut()
             .map(|t| {
                 shot.add_features(t, aovs, sample);
-                self.eyes(shot, (linker.weighing, linker.starts), t, sample, |_| true)
+                self.eyes(shot, linker.plan, t, sample, |_| true)
             })
             .collect();
         let mut radiance = Vec::new();
@@ -366,7 +368,7 @@ impl Integrator for GKernel {
         let step = first / self.eye_paths;
         let bandwidth = self.bandwidth(shot, step, pilot.h);
         let weighing = self.weighing((pilot.scale, pilot.steadiness), &bandwidth, self.light_paths(shot));
-        let request = self.request(shot, step, bandwidth, (weighing, &pilot.starts));
+        let request = self.request(shot, step, bandwidth, pilot.plan(weighing));
         let (traced, mut rays) = self.traced(&request);
         let Traced { lights, briefs } = &*traced;
         let aovs = film.aovs().to_vec();

@@ -1,5 +1,5 @@
 //! What is found out before the first step, with light paths of their own and some of the camera's: h, how many links are
-//! occluded, and at which lights light paths should begin.
+//! occluded, which lights are seen from where, and at which lights light paths should begin.
 //!
 //! Source: Bekaert et al. 2003, §5 (h so that M footprints of direct light hold a camera vertex in the mean; the share of
 //! unoccluded links). The lights' part is not in the paper: a lamp's chance follows what it brings to the picture, mixed
@@ -7,29 +7,32 @@
 
 use super::eye::EyeVertex;
 use super::light::{Brief, LightPaths, Request};
-use super::link::{self, Candidates};
+use super::link::{self, Candidates, Linker};
 use super::weight::Weighing;
-use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS};
+use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS, Plan};
 use crate::film::Film;
-use crate::light::Starts;
+use crate::light::{Seen, Starts, Tried};
 use crate::render::Shot;
 use crate::world::{MOST_CROSSINGS, World};
-use crate::{PathSampler, luminance};
+use crate::{PathSampler, Rgb, luminance};
 use rayon::prelude::*;
 use std::f32::consts::PI;
+use std::ops::Range;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
 
 /// What a pilot found, for all views of a scene.
 pub(crate) struct Pilot {
     pub(crate) h: [f32; 2],
-    /// c of the weights.
-    pub(crate) scale: f32,
+    /// c of the weights: of links to lights, and of all others.
+    pub(crate) scale: [f32; 2],
     /// Of light samples at camera vertices: the mean of their squares over their variance. Weights that go by densities alone take these to
     /// be equal (Grittmann et al. 2019: variance-aware multiple importance sampling).
     pub(crate) steadiness: f32,
     /// Where light paths begin.
     pub(crate) starts: Starts,
+    /// Which lights are seen from where.
+    pub(crate) seen: Option<Seen>,
 }
 
 /// Share of trial links that are unoccluded in a view: per tile, and of vertices that choose alone, beyond the first, per depth.
@@ -55,8 +58,10 @@ const DEPTHS: usize = 8;
 /// h before it is calibrated.
 const FIRST_H: f32 = 0.01;
 
-/// Lights that each camera vertex is asked about.
-const LAMPS: usize = 4;
+/// Lights that are tried, by all camera vertices together; and the bounds of their number at each.
+const TRIES: usize = 400_000;
+const FEWEST_TRIES: usize = 4;
+const MOST_TRIES: usize = 64;
 
 /// Largest [`Pilot::steadiness`].
 const STEADIEST: f32 = 16.0;
@@ -72,31 +77,47 @@ impl Outlook {
     }
 }
 
+impl Pilot {
+    pub(super) fn plan(&self, weighing: Weighing) -> Plan<'_> {
+        Plan { weighing, starts: &self.starts, seen: self.seen.as_ref() }
+    }
+}
+
 impl GKernel {
     pub(super) fn fly_pilot(&self, shots: &[&Shot]) -> Pilot {
-        let lights = shots[0].world.lights();
-        let weighed = (self.weighed(shots[0], [FIRST_H; 2], (1.0, 1.0)), lights.by_power());
-        let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, weighed));
+        let shot = shots[0];
+        let lights = shot.world.lights();
+        let first =
+            Plan { weighing: self.weighed(shot, [FIRST_H; 2], ([1.0; 2], 1.0)), starts: lights.by_power(), seen: None };
+        let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, first));
         let flock = views.reduce(Flock::join).unwrap_or_default();
-        let shine = flock.shine(shots[0]);
+        let mut lamps = flock.lamps(shot, None, 0);
+        let seen = if self.method.seen { flock.learn(shot, &lamps) } else { None };
+        if seen.is_some() {
+            lamps = flock.lamps(shot, seen.as_ref(), 1);
+        }
+        let shine = flock.shine(lights.len(), &lamps);
         let starts = match self.method.importance {
             true => lights.starts_by(&shine.brought, LEARNT),
             false => lights.by_power().clone(),
         };
         let steadiness = if self.method.steady { shine.steadiness } else { 1.0 };
-        let (h, scale) = self.calibrate(shots[0], &flock, &starts);
-        Pilot { h, scale, steadiness, starts }
+        let mut pilot = Pilot { h: [FIRST_H; 2], scale: [1.0; 2], steadiness, starts, seen };
+        (pilot.h, pilot.scale) = self.calibrate(shot, &flock, &pilot);
+        pilot
     }
 
-    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: (f32, f32)) -> Weighing {
+    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: ([f32; 2], f32)) -> Weighing {
         self.weighing(scale, &self.bandwidth(shot, 0, h), self.light_paths(shot))
     }
 
     /// The pilot's camera paths.
-    fn flock<'a>(&self, shot: &Shot<'a>, path: (Weighing, &'a Starts)) -> Flock<'a> {
+    fn flock<'a>(&self, shot: &Shot<'a>, plan: Plan<'a>) -> Flock<'a> {
         // Only for its tiles.
         let Ok(Film { tiles, .. }) = shot.film(&[]) else { return Flock::default() };
-        let block = |t| self.eyes(shot, path, t, STEP, |i| i % SPARSE == 5);
+        // Their vertices are wanted, not light.
+        let plan = Plan { weighing: Weighing { emitters: 0.0, ..plan.weighing }, ..plan };
+        let block = |t| self.eyes(shot, plan, t, STEP, |i| i % SPARSE == 5);
         let blocks: Vec<Block> = tiles.par_iter().map(block).collect();
         let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: tiles.len() };
         let mut paths = 0;
@@ -109,40 +130,78 @@ impl GKernel {
     }
 
     /// Finds h and c.
-    fn calibrate(&self, shot: &Shot, flock: &Flock, starts: &Starts) -> ([f32; 2], f32) {
+    fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> ([f32; 2], [f32; 2]) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let request = few(self.request(shot, STEP, bandwidth(h), (self.weighed(shot, h, (1.0, 1.0)), starts)));
+        let request = few(self.request(
+            shot,
+            STEP,
+            bandwidth(h),
+            pilot.plan(self.weighed(shot, h, ([1.0; 2], pilot.steadiness))),
+        ));
         let mut lights = LightPaths::trace(&request);
         // Of a step's.
         let part = request.count as f32 / self.light_paths(shot) as f32;
-        let wanted = CANDIDATES * part;
+        // Without `shrink` there is one h for both.
+        let few_direct = self.method.emitters && self.method.shrink;
+        let wanted = [if few_direct { BESIDE_EMITTERS } else { CANDIDATES }, CANDIDATES].map(|n| n * part);
         for _ in 0..8 {
             let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);
             let counts = if self.method.shrink { [first, others] } else { [first; 2] };
-            if counts.iter().all(|c| (c / wanted - 1.0).abs() < 0.1) {
+            if counts.iter().zip(wanted).all(|(c, wanted)| (c / wanted - 1.0).abs() < 0.1) {
                 break;
             }
-            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
+            h.iter_mut()
+                .zip(counts)
+                .zip(wanted)
+                .for_each(|((h, c), wanted)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
             lights.refit(&bandwidth(h));
         }
         // Light vertices per path that see a point.
-        let mut scale = PI * h[0].powi(2) * lights.count as f32 / part;
+        let mut scale = h.map(|h| PI * h * h * lights.count as f32 / part);
         if self.method.acceptance {
-            let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1) as f32 / part;
-            scale *= (self.links * self.groups(&flock.eyes).len() as f32 / candidates).min(1.0);
+            let request = Request { plan: pilot.plan(self.weighed(shot, h, (scale, pilot.steadiness))), ..request };
+            let accepted = self.accepted(&self.linker(&request, &lights, STEP), &flock.eyes, self.links * part);
+            scale.iter_mut().zip(accepted).for_each(|(c, a)| *c *= a);
         }
-        (h, if self.method.weights { scale } else { scale * lights.typical_area() })
+        let area = if self.method.weights { 1.0 } else { lights.typical_area() };
+        (h, scale.map(|c| c * area))
+    }
+
+    /// The part of the links, by what they would bring, that is made: of links to lights, and of all others. `links` is how many a group of
+    /// camera vertices makes. Most of the light comes by the strongest candidates, which are chosen more often than the average one.
+    fn accepted(&self, linker: &Linker, eyes: &[EyeVertex], links: f32) -> [f32; 2] {
+        let lights = &linker.lights.vertices;
+        let candidates = Candidates::find(linker.lights, &link::tree(eyes), eyes.len());
+        let of = |group: Range<usize>| {
+            let strength = |eye: usize, light: u32| {
+                let v = &lights[light as usize];
+                (usize::from(!v.first()), self.strength(linker, &Brief::new(v), &eyes[eye]))
+            };
+            let pairs = group.flat_map(|eye| candidates.of(eye).iter().map(move |light| (eye, *light)));
+            let found: Vec<(usize, f32)> = pairs.map(|(eye, light)| strength(eye, light)).collect();
+            let sum: f32 = found.iter().map(|f| f.1).sum();
+            let mut brought = [[0.0_f64; 2]; 2];
+            for (kind, strength) in found {
+                let chance = if sum > 0.0 { (links * strength / sum).min(1.0) } else { 1.0 };
+                brought[kind][0] += f64::from(strength * chance);
+                brought[kind][1] += f64::from(strength);
+            }
+            brought
+        };
+        let add = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| [0, 1].map(|k| [0, 1].map(|i| a[k][i] + b[k][i]));
+        let brought = self.groups(eyes).into_par_iter().map(of).reduce(|| [[0.0; 2]; 2], add);
+        brought.map(|[made, all]| if all > 0.0 { (made / all) as f32 } else { 1.0 })
     }
 
     /// Finds how many links are occluded in a view.
     pub(super) fn look(&self, shot: &Shot, pilot: &Pilot) -> Outlook {
         let bandwidth = self.bandwidth(shot, 0, pilot.h);
         // The camera's vertices with the weights that links take.
-        let path = (self.weighed(shot, pilot.h, (pilot.scale, pilot.steadiness)), &pilot.starts);
-        let flock = self.flock(shot, path);
-        let request = few(self.request(shot, STEP, bandwidth, path));
+        let plan = pilot.plan(self.weighed(shot, pilot.h, (pilot.scale, pilot.steadiness)));
+        let flock = self.flock(shot, plan);
+        let request = few(self.request(shot, STEP, bandwidth, plan));
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;
@@ -196,46 +255,72 @@ impl Flock<'_> {
         self
     }
 
-    /// What lights bring to the picture through these vertices.
-    fn shine(&self, shot: &Shot) -> Shine {
-        let world = shot.world;
+    /// How many lights are tried at each vertex.
+    fn tries(&self) -> usize {
+        (TRIES / self.eyes.len().max(1)).clamp(FEWEST_TRIES, MOST_TRIES)
+    }
+
+    /// Lights tried at each vertex.
+    fn lamps(&self, shot: &Shot, seen: Option<&Seen>, round: u64) -> Vec<Lamps> {
+        let (world, lights) = (shot.world, shot.world.lights());
         let of = |(i, eye): (usize, &EyeVertex)| {
-            let mut sampler = PathSampler::new(shot.seed ^ 0x706c_6f74, i as u64, 0);
-            let n = world.receiving_normal(&eye.hit, &eye.shading);
-            std::array::from_fn::<_, LAMPS, _>(|_| {
+            let mut sampler = PathSampler::new(shot.seed ^ 0x706c_6f74, i as u64, round);
+            let (p, n) = (eye.hit.point.p, world.receiving_normal(&eye.hit, &eye.shading));
+            let seen = seen.map(|s| s.from(p, n));
+            let once = |_| {
                 let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
-                let p = eye.hit.point.p;
-                let (light, sample) = world.lights().sample_numbered(world.scene(), p, n, u_choice, u)?;
+                let chosen = lights.choose(p, n, seen, u_choice)?;
+                let Some(sample) = lights.sample_of(world.scene(), p, chosen, u) else { return Some((chosen.0, 0.0)) };
                 let (f_cos, _) = eye.shading.eval_cos_pdf(eye.hit.wo, sample.wi, Mode::Radiance);
+                let unshadowed = luminance(sample.radiance * f_cos * eye.throughput) / sample.pdf_w;
                 let segment = World::segment(&eye.hit.point, sample.wi, &sample.end);
-                let visible = world.transmittance(&segment, MOST_CROSSINGS);
-                let value = luminance(visible * sample.radiance * f_cos * eye.throughput) / sample.pdf_w;
-                (value > 0.0).then_some((light, value))
-            })
+                let visible = if unshadowed > 0.0 { world.transmittance(&segment, MOST_CROSSINGS) } else { Rgb::ZERO };
+                Some((chosen.0, unshadowed * luminance(visible)))
+            };
+            (0..self.tries()).filter_map(once).collect()
         };
-        let found: Vec<_> = self.eyes.par_iter().enumerate().map(of).collect();
+        self.eyes.par_iter().enumerate().map(of).collect()
+    }
+
+    /// Which lights are seen from where.
+    fn learn(&self, shot: &Shot, lamps: &[Lamps]) -> Option<Seen> {
+        let world = shot.world;
+        let tried = self.eyes.iter().zip(lamps).map(|(eye, lamps)| Tried {
+            p: eye.hit.point.p,
+            n: world.receiving_normal(&eye.hit, &eye.shading),
+            lights: lamps.iter().map(|(light, value)| (*light, *value > 0.0)).collect(),
+        });
+        world.lights().learn(tried.collect())
+    }
+
+    /// What lights bring to the picture through these vertices, of so many lights.
+    fn shine(&self, lights: usize, found: &[Lamps]) -> Shine {
         let mut shine = vec![0.0; self.tiles];
         for (lamps, tile) in found.iter().zip(&self.tile_of) {
-            lamps.iter().flatten().for_each(|lamp| shine[*tile] += lamp.1);
+            shine[*tile] += lamps.iter().map(|lamp| lamp.1).sum::<f32>();
         }
         let dark = 0.01 * shine.iter().sum::<f32>() / self.tiles as f32;
-        let mut brought = vec![0.0; world.lights().len()];
+        let mut brought = vec![0.0; lights];
         let (mut squares, mut variance) = (0.0, 0.0);
-        for (lamps, tile) in found.iter().zip(&self.tile_of) {
-            let relative = lamps.map(|lamp| lamp.map_or(0.0, |lamp| lamp.1 / (shine[*tile] + dark)));
-            lamps
-                .iter()
-                .zip(relative)
-                .filter_map(|(lamp, v)| Some((lamp.as_ref()?.0, v)))
-                .for_each(|(i, v)| brought[i] += v);
-            let mean = relative.iter().sum::<f32>() / LAMPS as f32;
-            squares += relative.iter().map(|v| v * v).sum::<f32>() / LAMPS as f32;
-            variance += relative.iter().map(|v| (v - mean).powi(2)).sum::<f32>() / (LAMPS - 1) as f32;
+        let tries = self.tries() as f32;
+        for (lamps, tile) in found.iter().zip(&self.tile_of).filter(|_| dark > 0.0) {
+            let relative = |value: f32| value / (shine[*tile] + dark);
+            lamps.iter().for_each(|(light, value)| brought[*light] += relative(*value));
+            let mean = lamps.iter().map(|(_, value)| relative(*value)).sum::<f32>() / tries;
+            let square = lamps.iter().map(|(_, value)| relative(*value).powi(2)).sum::<f32>() / tries;
+            squares += square;
+            variance += (square - mean * mean).max(0.0) * (tries / (tries - 1.0));
         }
         let steadiness = if squares > 0.0 { squares / variance.max(squares / STEADIEST) } else { 1.0 };
         Shine { brought, steadiness: steadiness.max(1.0) }
     }
 }
 
+/// Lights that a camera vertex tried: their numbers, and what they bring to the picture there.
+type Lamps = Vec<(usize, f32)>;
+
 /// Footprints of each kind that a camera vertex should lie in: the paper's M.
 const CANDIDATES: f32 = 10.0;
+
+/// Of direct light where lights are sampled as well, which is the better way to most of it.
+const BESIDE_EMITTERS: f32 = 3.0;

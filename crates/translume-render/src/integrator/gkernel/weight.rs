@@ -25,8 +25,8 @@ use super::light::{LEAST_COS, Reach};
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Weighing {
-    /// c, or κ of eq. 9.
-    pub(crate) scale: f32,
+    /// c, or κ of eq. 9: of links to lights, and of all others.
+    pub(crate) scale: [f32; 2],
     /// Eq. 9.
     pub(crate) printed: bool,
     /// How much a sample of a light at a camera vertex counts; 0: none are taken. See [`super::pilot`].
@@ -51,6 +51,8 @@ pub(crate) struct Landing {
 pub(crate) enum Way {
     /// Nothing: the vertex scatters in single directions.
     Closed,
+    /// A link to the light itself.
+    Direct,
     /// A link to the vertex before it on the light's side.
     Link,
     /// That one scatters in single directions: photons are merged.
@@ -58,13 +60,14 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    /// At a vertex that is `delta` or not, after one that is `before` or not.
+    /// At a vertex that is `delta` or not, after a light (`None`) or after a vertex that is delta or not.
     #[inline]
-    pub(crate) fn of(delta: bool, before: bool) -> Self {
+    pub(crate) fn of(delta: bool, before: Option<bool>) -> Self {
         match (delta, before) {
             (true, _) => Self::Closed,
-            (false, true) => Self::Merge,
-            (false, false) => Self::Link,
+            (false, None) => Self::Direct,
+            (false, Some(true)) => Self::Merge,
+            (false, Some(false)) => Self::Link,
         }
     }
 }
@@ -86,9 +89,14 @@ impl Weighing {
         self.power(match way {
             Way::Closed => 0.0,
             Way::Merge => self.photons * at.pdf,
-            Way::Link if self.printed => self.scale * at.pdf,
-            Way::Link => self.scale * at.chance,
+            Way::Direct => self.linked(self.scale[0], at),
+            Way::Link => self.linked(self.scale[1], at),
         })
+    }
+
+    #[inline]
+    fn linked(&self, scale: f32, at: Landing) -> f32 {
+        scale * if self.printed { at.pdf } else { at.chance }
     }
 
     /// The power heuristic; eq. 9 is the balance heuristic.
