@@ -7,6 +7,7 @@ pub mod bilinear;
 pub mod chi2;
 pub mod distribution;
 pub mod frame;
+pub mod morton;
 pub mod rng;
 pub mod sampler;
 pub mod special;

@@ -44,11 +44,11 @@ enum Half {
     Cell(u32),
 }
 
-/// Places in a cell, at least half as many.
-const PLACES: usize = 32;
+/// Lights tried in a cell, at least about half as many. Few large cells that are known well serve better than many.
+const TRIES: usize = 6000;
 
-/// Most nodes of the tree, from the root, that are told apart: five levels. A cell's factors should stay in the cache.
-const MOST_NODES: usize = 341;
+/// Most nodes of the tree, from the root, that are told apart: six levels. A cell's factors should stay in the cache.
+const MOST_NODES: usize = 1365;
 
 /// Length of a unit normal, over the radius of all places, when cells are cut.
 const NORMAL: f32 = 0.2;
@@ -129,7 +129,8 @@ impl Cells {
             _ => normals.extent()[axis as usize - 3] * self.normal,
         };
         let axis = (0..6).fold(0, |best, axis| if of(axis) > of(best) { axis } else { best });
-        if tried.len() <= PLACES || of(axis) <= 0.0 || depth >= 48 {
+        let tries: usize = tried.iter().map(|t| t.lights.len()).sum();
+        if tries <= TRIES || of(axis) <= 0.0 || depth >= 48 {
             self.ends.push(before + tried.len());
             return Half::Cell(self.ends.len() as u32 - 1);
         }
@@ -219,7 +220,7 @@ mod tests {
             });
             Tried { p, n, lights: lights.collect() }
         };
-        Seen::learn(tree, (0..4000).map(place).collect())
+        Seen::learn(tree, (0..20_000).map(place).collect())
     }
 
     #[test]

@@ -12,6 +12,7 @@ use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use translume_bxdf::fresnel;
+use translume_core::morton;
 use translume_trace::Ray;
 
 /// Which light to show.
@@ -76,7 +77,7 @@ impl Relighter {
     }
 
     fn of_samples(model: &Hierarchical, size: (usize, usize), per_side: usize, samples: Vec<Sample>) -> Self {
-        let order = curve(&model.mesh.positions);
+        let order = morton::order(&model.mesh.positions.iter().map(|p| Vec3::from(*p)).collect::<Vec<_>>());
         let (mut rows, mut texels) = (Numbers::new(model.mesh.positions.len()), Numbers::new(model.atlas.texels.len()));
         let share = 1.0 / (per_side * per_side) as f32;
         let mut seen = Vec::with_capacity(samples.len());
@@ -243,22 +244,6 @@ fn cast(
         (0..w * n * n).filter_map(one).collect::<Vec<Sample>>()
     };
     (0..h).into_par_iter().flat_map_iter(row).collect()
-}
-
-/// Vertices along Morton's curve.
-fn curve(positions: &[[f32; 3]]) -> Vec<u32> {
-    let (lo, hi) = positions
-        .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p.into()), hi.max(p.into())));
-    let scale = 1023.0 / (hi - lo).max_element().max(1e-30);
-    let spread = |x: f32| (0..10).fold(0u32, |s, bit| s | (((x as u32) >> bit) & 1) << (3 * bit));
-    let code = |i: &u32| {
-        let p = (Vec3::from(positions[*i as usize]) - lo) * scale;
-        spread(p.x) | spread(p.y) << 1 | spread(p.z) << 2
-    };
-    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
-    order.sort_by_cached_key(code);
-    order
 }
 
 #[cfg(test)]

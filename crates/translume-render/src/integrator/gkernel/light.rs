@@ -15,6 +15,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 use translume_core::frame::Frame;
+use translume_core::morton;
 use translume_trace::Ray;
 
 /// How footprints grow.
@@ -171,6 +172,15 @@ impl Brief {
         let printed = 1.0 / (area * v.cos());
         Self { wo: v.hit.wo, gain, printed, at: v.landing(), back: v.back, behind: v.behind, direct: v.direct, way }
     }
+}
+
+/// Around a light vertex, to look for camera vertices.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    pub(crate) p: Vec3,
+    pub(crate) radius: f32,
+    /// Number of the vertex.
+    pub(crate) light: u32,
 }
 
 /// All light paths of a step.
@@ -366,6 +376,14 @@ impl LightPaths {
                 Way::Closed => before.unwrap_or(0.0),
             };
         }
+    }
+
+    /// Those that something may happen at, in an order in which neighbours are near each other.
+    pub(crate) fn footprints(&self) -> Vec<Footprint> {
+        let open = (0..).zip(&self.vertices).filter(|(_, v)| v.way() != Way::Closed);
+        let all: Vec<_> = open.map(|(light, v)| Footprint { p: v.hit.point.p, radius: v.radius, light }).collect();
+        let places: Vec<Vec3> = all.iter().map(|f| f.p).collect();
+        morton::order(&places).into_iter().map(|i| all[i as usize]).collect()
     }
 
     /// Median of 1/p over the vertices that come straight from lights.

@@ -11,7 +11,7 @@
 
 use super::Plan;
 use super::eye::{EyeVertex, emitter_samples};
-use super::light::{Bandwidth, Brief, LightPaths, LightVertex, Reach};
+use super::light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
 use super::points::Points;
 use super::weight::Way;
@@ -47,16 +47,12 @@ const CHUNK: usize = 2048;
 
 impl Candidates {
     /// All pairs of a camera vertex in a light vertex's footprint; `tree` has the camera vertices ([`tree`]).
-    pub(crate) fn find(lights: &LightPaths, tree: &Points, eyes: usize) -> Self {
-        let found: Vec<Vec<(u32, u32)>> = lights
-            .vertices
+    pub(crate) fn find(footprints: &[Footprint], tree: &Points, eyes: usize) -> Self {
+        let found: Vec<Vec<(u32, u32)>> = footprints
             .par_chunks(CHUNK)
-            .enumerate()
-            .map(|(c, chunk)| {
+            .map(|chunk| {
                 let mut pairs = Vec::new();
-                for (i, v) in chunk.iter().enumerate().filter(|(_, v)| v.way() != Way::Closed) {
-                    tree.within(v.hit.point.p, v.radius, |eye| pairs.push((eye, (c * CHUNK + i) as u32)));
-                }
+                chunk.iter().for_each(|f| tree.within(f.p, f.radius, |eye| pairs.push((eye, f.light))));
                 pairs
             })
             .collect();

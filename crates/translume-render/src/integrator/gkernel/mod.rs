@@ -34,7 +34,7 @@ use crate::subpath::{Limits, Vertex};
 use crate::world::World;
 use crate::{Result, Rgb, luminance};
 use eye::{Eye, EyeVertex};
-use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
+use light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
 use method::Method;
 pub(crate) use method::OPTIONS;
@@ -107,6 +107,7 @@ struct Plan<'a> {
 struct Traced {
     lights: LightPaths,
     briefs: Vec<Brief>,
+    footprints: Vec<Footprint>,
 }
 
 /// Most light vertices that are kept for further views: about 2 GiB of them.
@@ -282,7 +283,8 @@ impl GKernel {
         let lights = LightPaths::trace(request);
         let briefs = lights.vertices.iter().map(Brief::new).collect();
         let rays = lights.rays;
-        let traced = Arc::new(Traced { lights, briefs });
+        let footprints = lights.footprints();
+        let traced = Arc::new(Traced { lights, briefs, footprints });
         let stored: usize = kept.values().map(|t| t.briefs.len()).sum();
         if self.keep.load(Ordering::Relaxed) && stored + traced.briefs.len() <= MOST_KEPT {
             kept.insert(request.step, traced.clone());
@@ -297,7 +299,7 @@ impl GKernel {
         tiles: &mut [Tile],
         aovs: &[crate::film::Aov],
         (first_tile, sample): (usize, u64),
-        (linker, briefs): (&Linker, &[Brief]),
+        (linker, traced): (&Linker, &Traced),
         outlook: &Outlook,
     ) -> u64 {
         let mut parts: Vec<Block> = tiles
@@ -320,8 +322,8 @@ impl GKernel {
             }
             rays += part.rays;
         }
-        let candidates = Candidates::find(linker.lights, &link::tree(&eyes), eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &briefs[light as usize], eye);
+        let candidates = Candidates::find(&traced.footprints, &link::tree(&eyes), eyes.len());
+        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.briefs[light as usize], eye);
         let links = candidates.select(&eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes);
         let mut unoccluded = 0;
@@ -370,7 +372,7 @@ impl Integrator for GKernel {
         let weighing = self.weighing((pilot.scale, pilot.steadiness), &bandwidth, self.light_paths(shot));
         let request = self.request(shot, step, bandwidth, pilot.plan(weighing));
         let (traced, mut rays) = self.traced(&request);
-        let Traced { lights, briefs } = &*traced;
+        let lights = &traced.lights;
         let aovs = film.aovs().to_vec();
         let tiles_at_once = (BLOCK / (crate::film::TILE * crate::film::TILE) as usize).max(1);
         let end = (step + 1) * self.eye_paths;
@@ -383,7 +385,7 @@ impl Integrator for GKernel {
                 if done || stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
                     return 0;
                 }
-                self.block(shot, tiles, &aovs, (i * tiles_at_once, sample), (&linker, briefs), &outlook)
+                self.block(shot, tiles, &aovs, (i * tiles_at_once, sample), (&linker, &traced), &outlook)
             };
             rays += film.tiles.par_chunks_mut(tiles_at_once).enumerate().map(block).sum::<u64>();
         }

@@ -59,8 +59,8 @@ const DEPTHS: usize = 8;
 const FIRST_H: f32 = 0.01;
 
 /// Lights that are tried, by all camera vertices together; and the bounds of their number at each.
-const TRIES: usize = 400_000;
-const FEWEST_TRIES: usize = 4;
+const TRIES: usize = 300_000;
+const FEWEST_TRIES: usize = 2;
 const MOST_TRIES: usize = 64;
 
 /// Largest [`Pilot::steadiness`].
@@ -173,7 +173,7 @@ impl GKernel {
     /// camera vertices makes. Most of the light comes by the strongest candidates, which are chosen more often than the average one.
     fn accepted(&self, linker: &Linker, eyes: &[EyeVertex], links: f32) -> [f32; 2] {
         let lights = &linker.lights.vertices;
-        let candidates = Candidates::find(linker.lights, &link::tree(eyes), eyes.len());
+        let candidates = Candidates::find(&linker.lights.footprints(), &link::tree(eyes), eyes.len());
         let of = |group: Range<usize>| {
             let strength = |eye: usize, light: u32| {
                 let v = &lights[light as usize];
@@ -205,7 +205,7 @@ impl GKernel {
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;
-        let candidates = Candidates::find(&lights, &link::tree(eyes), eyes.len());
+        let candidates = Candidates::find(&lights.footprints(), &link::tree(eyes), eyes.len());
         let strength =
             |light: u32, eye: &EyeVertex| self.strength(&linker, &Brief::new(&lights.vertices[light as usize]), eye);
         let trials = |_| 3.0 * self.links;
