@@ -52,6 +52,16 @@ impl Bandwidth {
         }
     }
 
+    /// The part of a footprint's area that its bounds leave.
+    #[inline]
+    pub(crate) fn kept(&self, pdf: f32, reach: Reach, direct: bool) -> f32 {
+        if self.grow {
+            return 1.0;
+        }
+        let part = self.radius(pdf, reach, (!direct).then_some(0.0)) / self.h[usize::from(!direct)];
+        (pdf * part * part).min(1.0)
+    }
+
     /// The largest radius over the distance, and the largest of parallel light of density `across`.
     pub(crate) fn bound(&self, first: bool) -> f32 {
         (self.h[usize::from(!first)] / self.least.sqrt()).min(self.share)
@@ -314,7 +324,7 @@ impl LightPaths {
             hit: v.hit,
             throughput: v.throughput,
             pdf: v.pdf,
-            chance: request.plan.weighing.landing(v.pdf, reach).chance,
+            chance: request.plan.weighing.landing(v.pdf, reach, parent.is_none()).chance,
             radius,
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,

@@ -183,7 +183,7 @@ impl GKernel {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
         let photons = if self.method.caustics { photons } else { 0.0 };
         let emitters = if self.method.emitters { steadiness } else { 0.0 };
-        Weighing { scale, printed: !self.method.weights, emitters, photons, least: bandwidth.least }
+        Weighing { scale, printed: !self.method.weights, emitters, photons, bandwidth: *bandwidth }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {

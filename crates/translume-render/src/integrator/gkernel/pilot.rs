@@ -163,7 +163,8 @@ impl GKernel {
         if self.method.acceptance {
             let request = Request { plan: pilot.plan(self.weighed(shot, h, (scale, pilot.steadiness))), ..request };
             let accepted = self.accepted(&self.linker(&request, &lights, STEP), &flock.eyes, self.links * part);
-            scale.iter_mut().zip(accepted).for_each(|(c, a)| *c *= a);
+            // No path has more links than are made.
+            scale.iter_mut().zip(accepted).for_each(|(c, a)| *c = (*c * a).min(self.links));
         }
         let area = if self.method.weights { 1.0 } else { lights.typical_area() };
         (h, scale.map(|c| c * area))

@@ -20,7 +20,7 @@
 //! products along the whole path, which sums along two walks cannot hold; it would only concern photons behind mirrors, since
 //! a vertex makes about one link.
 
-use super::light::{LEAST_COS, Reach};
+use super::light::{Bandwidth, Reach};
 
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
@@ -33,8 +33,8 @@ pub(crate) struct Weighing {
     pub(crate) emitters: f32,
     /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
     pub(crate) photons: f32,
-    /// Of the bandwidth.
-    pub(crate) least: f32,
+    /// Of the step.
+    pub(crate) bandwidth: Bandwidth,
 }
 
 /// A place of a light path.
@@ -73,14 +73,10 @@ impl Way {
 }
 
 impl Weighing {
-    /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before.
+    /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before, which is a light's (`direct`) or not.
     #[inline]
-    pub(crate) fn landing(&self, pdf: f32, reach: Reach) -> Landing {
-        let chance = match reach {
-            Reach::Distance(d) => pdf * d * d / self.least,
-            Reach::Parallel(across) => pdf / (LEAST_COS * across),
-        };
-        Landing { pdf, chance: if self.least > 0.0 { chance.min(1.0) } else { 1.0 } }
+    pub(crate) fn landing(&self, pdf: f32, reach: Reach, direct: bool) -> Landing {
+        Landing { pdf, chance: self.bandwidth.kept(pdf, reach, direct) }
     }
 
     /// g of what may happen at a vertex where the light's walk may land.
