@@ -211,7 +211,7 @@ def main():
             f"doors {k}: h {c['h']:.2g}, {c['steps']} steps, {c['candidates_per_eye_vertex']:.1f} candidates, {c['requested_per_eye_vertex']:.1f} requested and "
             f"{c['unoccluded_per_eye_vertex']:.1f} unoccluded links per eye vertex, visibility {c['mean_visibility']:.2f}" for k, c in counts.items()) + "."]
     if partly:
-        lines += ["", f"Parts, relMSE after {a.parts:g} s, doors shut:", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
+        lines += ["", f"Parts, relMSE after {a.parts:g} s, doors shut (few steps each, one seed: what differs by less than a third is noise):", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
         lines += [f"| {name} | {'-' if with_it is None else f'{with_it:.3g}'} | {without:.3g} |" for name, with_it, without in partly]
     if biased:
         lines += ["", "Bias of a patch's mean against `path`, in percent, with its standard error:", "", "| scene | method | bias | error |", "| --- | --- | --- | --- |"]
