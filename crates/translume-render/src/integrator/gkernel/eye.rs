@@ -44,7 +44,7 @@ impl EyeVertex<'_> {
     #[inline]
     pub(crate) fn nearer(&self, weighing: &Weighing, onto: f32, pdf_to_camera: f32) -> f32 {
         let back = pdf_to_camera * self.back;
-        let at = weighing.landing(back, Reach::Distance(self.distance), false);
+        let at = weighing.landing(back, Reach::Distance(self.distance));
         weighing.times(onto / self.pdf, weighing.add(self.way, at, back / self.before, self.behind))
     }
 }
@@ -97,7 +97,7 @@ impl<'a> Eye<'a> {
                 back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
                 before: parent.map_or(1.0, |p| p.pdf),
                 distance: parent.map_or(0.0, |p| between(p, &v.hit)),
-                way: Way::of(parent.is_none_or(|p| p.delta), Some(false)),
+                way: Way::of(parent.is_none_or(|p| p.delta), false),
                 behind: behind[i],
             };
             if self.plan.weighing.emitters > 0.0 {
@@ -116,8 +116,8 @@ impl<'a> Eye<'a> {
     fn behind(&self, path: &[Vertex], behind: &[f32], parent: u32) -> f32 {
         let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
         let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
-        let way = Way::of(above.delta, Some(parent_vertex.delta));
-        let at = self.plan.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)), false);
+        let way = Way::of(above.delta, parent_vertex.delta);
+        let at = self.plan.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)));
         self.plan.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
     }
 
@@ -158,9 +158,8 @@ impl<'a> Eye<'a> {
         let met = if sample.delta { 0.0 } else { self.plan.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
         let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let at = self.plan.weighing.landing(onto_y, Reach::from_light(&point, next, distance), true);
-        let merged =
-            self.plan.weighing.own(Way::Direct, at) + y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
+        let at = self.plan.weighing.landing(onto_y, Reach::from_light(&point, next, distance));
+        let merged = self.plan.weighing.own(Way::Link, at) + y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
         let others = met + self.plan.weighing.times(begin / own, merged);
         let cos = y.hit.n().dot(sample.wi).abs();
         visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
@@ -172,8 +171,8 @@ impl<'a> Eye<'a> {
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
-        let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)), true);
-        let inner = self.plan.weighing.add(Way::of(parent.delta, None), at, back / parent.pdf, behind);
+        let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
+        let inner = self.plan.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
         let direct = match parent.delta {
             false if self.plan.weighing.emitters > 0.0 => {
                 let samples = emitter_samples(self.world, depth - 1) as f32;
@@ -198,8 +197,8 @@ impl<'a> Eye<'a> {
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
             let (begin, next) = lights.pdf_start(self.plan.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
-            let at = self.plan.weighing.landing(back, Reach::Parallel(next), true);
-            let inner = self.plan.weighing.add(Way::of(parent.delta, None), at, back / parent.pdf, behind);
+            let at = self.plan.weighing.landing(back, Reach::Parallel(next));
+            let inner = self.plan.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
             let direct =
                 if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w / escape.pdf_w };
             far.radiance

@@ -52,16 +52,6 @@ impl Bandwidth {
         }
     }
 
-    /// The part of a footprint's area that its bounds leave.
-    #[inline]
-    pub(crate) fn kept(&self, pdf: f32, reach: Reach, direct: bool) -> f32 {
-        if self.grow {
-            return 1.0;
-        }
-        let part = self.radius(pdf, reach, (!direct).then_some(0.0)) / self.h[usize::from(!direct)];
-        (pdf * part * part).min(1.0)
-    }
-
     /// The largest radius over the distance, and the largest of parallel light of density `across`.
     pub(crate) fn bound(&self, first: bool) -> f32 {
         (self.h[usize::from(!first)] / self.least.sqrt()).min(self.share)
@@ -148,7 +138,7 @@ impl LightVertex {
     /// What may happen here.
     #[inline]
     pub(crate) fn way(&self) -> Way {
-        Way::of(!self.linked() && !self.merged(), (!self.first()).then_some(self.merged()))
+        Way::of(!self.linked() && !self.merged(), self.merged())
     }
 
     /// cos θ at this vertex towards the parent.
@@ -298,7 +288,7 @@ impl LightPaths {
                     Some(above) => above.pdf_back / above.pdf,
                     None => light.pdf_back / light.start.pdf_begin(),
                 };
-                let way = Way::of(parent.delta, above.map(|a| a.delta));
+                let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
                 let before = &self.vertices[base + v.parent as usize];
                 request.plan.weighing.add(way, before.landing(), ratio, before.behind) + before.direct
             }
@@ -324,7 +314,7 @@ impl LightPaths {
             hit: v.hit,
             throughput: v.throughput,
             pdf: v.pdf,
-            chance: request.plan.weighing.landing(v.pdf, reach, parent.is_none()).chance,
+            chance: request.plan.weighing.landing(v.pdf, reach).chance,
             radius,
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
@@ -381,7 +371,7 @@ impl LightPaths {
                 (Reach::Distance((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
             };
             self.vertices[i].radius = match v.way() {
-                Way::Direct | Way::Link => bandwidth.radius(v.pdf, reach, before),
+                Way::Link => bandwidth.radius(v.pdf, reach, before),
                 Way::Merge => bandwidth.photon,
                 Way::Closed => before.unwrap_or(0.0),
             };

@@ -427,8 +427,7 @@ impl<'a> Linker<'a> {
 
     fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let way = if let Parent::Start(_) = parent { Way::Direct } else { Way::Link };
-        let own = self.plan.weighing.own(way, self.plan.weighing.landing(onto_y, arrival.reach, way == Way::Direct));
+        let own = self.plan.weighing.own(Way::Link, self.plan.weighing.landing(onto_y, arrival.reach));
         let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent;
         let light = match parent {

@@ -7,7 +7,7 @@
 //! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
 //! camera paths, one a step or more.
 //!
-//! Nothing needs to be set: h is found by the number of footprints per camera vertex (M = 10; 3 of direct light beside emitter sampling), the number
+//! Nothing needs to be set: h is found by the number of footprints per camera vertex of direct light (M = 10), the number
 //! of trial links by the share that a pilot found unoccluded, per tile for the first vertex and per depth beyond.
 //!
 //! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
@@ -179,11 +179,11 @@ impl GKernel {
         }
     }
 
-    fn weighing(&self, (scale, steadiness): ([f32; 2], f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
+    fn weighing(&self, (scale, steadiness): (f32, f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
         let photons = if self.method.caustics { photons } else { 0.0 };
         let emitters = if self.method.emitters { steadiness } else { 0.0 };
-        Weighing { scale, printed: !self.method.weights, emitters, photons, bandwidth: *bandwidth }
+        Weighing { scale, printed: !self.method.weights, emitters, photons, least: bandwidth.least }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {

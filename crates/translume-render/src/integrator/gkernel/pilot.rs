@@ -7,7 +7,7 @@
 
 use super::eye::EyeVertex;
 use super::light::{Brief, LightPaths, Request};
-use super::link::{self, Candidates, Linker};
+use super::link::{self, Candidates};
 use super::weight::Weighing;
 use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS, Plan};
 use crate::film::Film;
@@ -17,15 +17,14 @@ use crate::world::{MOST_CROSSINGS, World};
 use crate::{PathSampler, Rgb, luminance};
 use rayon::prelude::*;
 use std::f32::consts::PI;
-use std::ops::Range;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
 
 /// What a pilot found, for all views of a scene.
 pub(crate) struct Pilot {
     pub(crate) h: [f32; 2],
-    /// c of the weights: of links to lights, and of all others.
-    pub(crate) scale: [f32; 2],
+    /// c of the weights.
+    pub(crate) scale: f32,
     /// Of light samples at camera vertices: the mean of their squares over their variance. Weights that go by densities alone take these to
     /// be equal (Grittmann et al. 2019: variance-aware multiple importance sampling).
     pub(crate) steadiness: f32,
@@ -88,7 +87,7 @@ impl GKernel {
         let shot = shots[0];
         let lights = shot.world.lights();
         let first =
-            Plan { weighing: self.weighed(shot, [FIRST_H; 2], ([1.0; 2], 1.0)), starts: lights.by_power(), seen: None };
+            Plan { weighing: self.weighed(shot, [FIRST_H; 2], (1.0, 1.0)), starts: lights.by_power(), seen: None };
         let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, first));
         let flock = views.reduce(Flock::join).unwrap_or_default();
         let mut lamps = flock.lamps(shot, None, 0);
@@ -102,12 +101,12 @@ impl GKernel {
             false => lights.by_power().clone(),
         };
         let steadiness = if self.method.steady { shine.steadiness } else { 1.0 };
-        let mut pilot = Pilot { h: [FIRST_H; 2], scale: [1.0; 2], steadiness, starts, seen };
+        let mut pilot = Pilot { h: [FIRST_H; 2], scale: 1.0, steadiness, starts, seen };
         (pilot.h, pilot.scale) = self.calibrate(shot, &flock, &pilot);
         pilot
     }
 
-    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: ([f32; 2], f32)) -> Weighing {
+    fn weighed(&self, shot: &Shot, h: [f32; 2], scale: (f32, f32)) -> Weighing {
         self.weighing(scale, &self.bandwidth(shot, 0, h), self.light_paths(shot))
     }
 
@@ -130,70 +129,32 @@ impl GKernel {
     }
 
     /// Finds h and c.
-    fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> ([f32; 2], [f32; 2]) {
+    fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> ([f32; 2], f32) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let request = few(self.request(
-            shot,
-            STEP,
-            bandwidth(h),
-            pilot.plan(self.weighed(shot, h, ([1.0; 2], pilot.steadiness))),
-        ));
+        let request =
+            few(self.request(shot, STEP, bandwidth(h), pilot.plan(self.weighed(shot, h, (1.0, pilot.steadiness)))));
         let mut lights = LightPaths::trace(&request);
         // Of a step's.
         let part = request.count as f32 / self.light_paths(shot) as f32;
-        // Without `shrink` there is one h for both.
-        let few_direct = self.method.emitters && self.method.shrink;
-        let wanted = [if few_direct { BESIDE_EMITTERS } else { CANDIDATES }, CANDIDATES].map(|n| n * part);
+        let wanted = CANDIDATES * part;
         for _ in 0..8 {
             let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);
             let counts = if self.method.shrink { [first, others] } else { [first; 2] };
-            if counts.iter().zip(wanted).all(|(c, wanted)| (c / wanted - 1.0).abs() < 0.1) {
+            if counts.iter().all(|c| (c / wanted - 1.0).abs() < 0.1) {
                 break;
             }
-            h.iter_mut()
-                .zip(counts)
-                .zip(wanted)
-                .for_each(|((h, c), wanted)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
+            h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
             lights.refit(&bandwidth(h));
         }
         // Light vertices per path that see a point.
-        let mut scale = h.map(|h| PI * h * h * lights.count as f32 / part);
+        let mut scale = PI * h[0].powi(2) * lights.count as f32 / part;
         if self.method.acceptance {
-            let request = Request { plan: pilot.plan(self.weighed(shot, h, (scale, pilot.steadiness))), ..request };
-            let accepted = self.accepted(&self.linker(&request, &lights, STEP), &flock.eyes, self.links * part);
-            // No path has more links than are made.
-            scale.iter_mut().zip(accepted).for_each(|(c, a)| *c = (*c * a).min(self.links));
+            let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1) as f32 / part;
+            scale *= (self.links * self.groups(&flock.eyes).len() as f32 / candidates).min(1.0);
         }
-        let area = if self.method.weights { 1.0 } else { lights.typical_area() };
-        (h, scale.map(|c| c * area))
-    }
-
-    /// The part of the links, by what they would bring, that is made: of links to lights, and of all others. `links` is how many a group of
-    /// camera vertices makes. Most of the light comes by the strongest candidates, which are chosen more often than the average one.
-    fn accepted(&self, linker: &Linker, eyes: &[EyeVertex], links: f32) -> [f32; 2] {
-        let lights = &linker.lights.vertices;
-        let candidates = Candidates::find(&linker.lights.footprints(), &link::tree(eyes), eyes.len());
-        let of = |group: Range<usize>| {
-            let strength = |eye: usize, light: u32| {
-                let v = &lights[light as usize];
-                (usize::from(!v.first()), self.strength(linker, &Brief::new(v), &eyes[eye]))
-            };
-            let pairs = group.flat_map(|eye| candidates.of(eye).iter().map(move |light| (eye, *light)));
-            let found: Vec<(usize, f32)> = pairs.map(|(eye, light)| strength(eye, light)).collect();
-            let sum: f32 = found.iter().map(|f| f.1).sum();
-            let mut brought = [[0.0_f64; 2]; 2];
-            for (kind, strength) in found {
-                let chance = if sum > 0.0 { (links * strength / sum).min(1.0) } else { 1.0 };
-                brought[kind][0] += f64::from(strength * chance);
-                brought[kind][1] += f64::from(strength);
-            }
-            brought
-        };
-        let add = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| [0, 1].map(|k| [0, 1].map(|i| a[k][i] + b[k][i]));
-        let brought = self.groups(eyes).into_par_iter().map(of).reduce(|| [[0.0; 2]; 2], add);
-        brought.map(|[made, all]| if all > 0.0 { (made / all) as f32 } else { 1.0 })
+        (h, if self.method.weights { scale } else { scale * lights.typical_area() })
     }
 
     /// Finds how many links are occluded in a view.
@@ -322,6 +283,3 @@ type Lamps = Vec<(usize, f32)>;
 
 /// Footprints of each kind that a camera vertex should lie in: the paper's M.
 const CANDIDATES: f32 = 10.0;
-
-/// Of direct light where lights are sampled as well, which is the better way to most of it.
-const BESIDE_EMITTERS: f32 = 3.0;

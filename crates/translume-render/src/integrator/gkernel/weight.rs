@@ -20,21 +20,21 @@
 //! products along the whole path, which sums along two walks cannot hold; it would only concern photons behind mirrors, since
 //! a vertex makes about one link.
 
-use super::light::{Bandwidth, Reach};
+use super::light::{LEAST_COS, Reach};
 
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Weighing {
-    /// c, or κ of eq. 9: of links to lights, and of all others.
-    pub(crate) scale: [f32; 2],
+    /// c, or κ of eq. 9.
+    pub(crate) scale: f32,
     /// Eq. 9.
     pub(crate) printed: bool,
     /// How much a sample of a light at a camera vertex counts; 0: none are taken. See [`super::pilot`].
     pub(crate) emitters: f32,
     /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
     pub(crate) photons: f32,
-    /// Of the step.
-    pub(crate) bandwidth: Bandwidth,
+    /// Of the bandwidth.
+    pub(crate) least: f32,
 }
 
 /// A place of a light path.
@@ -51,8 +51,6 @@ pub(crate) struct Landing {
 pub(crate) enum Way {
     /// Nothing: the vertex scatters in single directions.
     Closed,
-    /// A link to the light itself.
-    Direct,
     /// A link to the vertex before it on the light's side.
     Link,
     /// That one scatters in single directions: photons are merged.
@@ -60,23 +58,26 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    /// At a vertex that is `delta` or not, after a light (`None`) or after a vertex that is delta or not.
+    /// At a vertex that is `delta` or not, after one that is `before` or not.
     #[inline]
-    pub(crate) fn of(delta: bool, before: Option<bool>) -> Self {
+    pub(crate) fn of(delta: bool, before: bool) -> Self {
         match (delta, before) {
             (true, _) => Self::Closed,
-            (false, None) => Self::Direct,
-            (false, Some(true)) => Self::Merge,
-            (false, Some(false)) => Self::Link,
+            (false, true) => Self::Merge,
+            (false, false) => Self::Link,
         }
     }
 }
 
 impl Weighing {
-    /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before, which is a light's (`direct`) or not.
+    /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before.
     #[inline]
-    pub(crate) fn landing(&self, pdf: f32, reach: Reach, direct: bool) -> Landing {
-        Landing { pdf, chance: self.bandwidth.kept(pdf, reach, direct) }
+    pub(crate) fn landing(&self, pdf: f32, reach: Reach) -> Landing {
+        let chance = match reach {
+            Reach::Distance(d) => pdf * d * d / self.least,
+            Reach::Parallel(across) => pdf / (LEAST_COS * across),
+        };
+        Landing { pdf, chance: if self.least > 0.0 { chance.min(1.0) } else { 1.0 } }
     }
 
     /// g of what may happen at a vertex where the light's walk may land.
@@ -85,14 +86,9 @@ impl Weighing {
         self.power(match way {
             Way::Closed => 0.0,
             Way::Merge => self.photons * at.pdf,
-            Way::Direct => self.linked(self.scale[0], at),
-            Way::Link => self.linked(self.scale[1], at),
+            Way::Link if self.printed => self.scale * at.pdf,
+            Way::Link => self.scale * at.chance,
         })
-    }
-
-    #[inline]
-    fn linked(&self, scale: f32, at: Landing) -> f32 {
-        scale * if self.printed { at.pdf } else { at.chance }
     }
 
     /// The power heuristic; eq. 9 is the balance heuristic.
