@@ -71,19 +71,9 @@ impl Seen {
         let normal = NORMAL * 0.5 * bounds.extent().length();
         let mut cells = Cells { cuts: Vec::new(), ends: Vec::new(), normal };
         cells.cut(&mut tried, 0, 0);
-        let mut rest = tried.as_slice();
-        let mut begin = 0;
-        let parts: Vec<&[Tried]> = cells
-            .ends
-            .iter()
-            .map(|end| {
-                let (part, after) = rest.split_at(end - begin);
-                (rest, begin) = (after, *end);
-                part
-            })
-            .collect();
+        let begins = std::iter::once(0).chain(cells.ends.iter().copied());
+        let parts: Vec<&[Tried]> = begins.zip(&cells.ends).map(|(begin, end)| &tried[begin..*end]).collect();
         let factors = parts.par_iter().flat_map_iter(|part| factors(tree, nodes, part)).collect();
-
         Some(Self { cuts: cells.cuts, factors, nodes })
     }
 
@@ -136,7 +126,9 @@ impl Cells {
         }
         let bounds = if axis < 3 { places } else { normals };
         let at = bounds.center()[axis as usize % 3];
-        let middle = partition(tried, |t| coordinate(t.p, t.n, axis) < at);
+        let high = |t: &Tried| coordinate(t.p, t.n, axis) >= at;
+        tried.sort_by_key(high);
+        let middle = tried.partition_point(|t| !high(t));
         let here = self.cuts.len();
         self.cuts.push(Cut { axis, at, halves: [Half::Cell(0); 2] });
         let (low, high) = tried.split_at_mut(middle);
@@ -144,18 +136,6 @@ impl Cells {
         self.cuts[here].halves = halves;
         Half::Cut(here as u32)
     }
-}
-
-/// Those first for which `first` holds; their number.
-fn partition<T>(items: &mut [T], first: impl Fn(&T) -> bool) -> usize {
-    let mut n = 0;
-    for i in 0..items.len() {
-        if first(&items[i]) {
-            items.swap(i, n);
-            n += 1;
-        }
-    }
-    n
 }
 
 /// Of a cell.
@@ -170,7 +150,7 @@ fn factors(tree: &LightTree, nodes: usize, tried: &[Tried]) -> Vec<[u8; 4]> {
             *count = [count[0] + arrived, count[1] + 1.0];
         }
     }
-    let mut share = vec![1.0; tree.nodes()];
+    let mut share = vec![1.0; nodes];
     share[0] = (all[0] + PRIOR) / (all[1] + PRIOR);
     counts
         .iter()
@@ -178,7 +158,7 @@ fn factors(tree: &LightTree, nodes: usize, tried: &[Tried]) -> Vec<[u8; 4]> {
         .map(|(node, counts)| {
             // Parents come before their children.
             let shares = counts.map(|[s, t]| (s + PRIOR * share[node]) / (t + PRIOR));
-            for (lane, child) in tree.children(node) {
+            for (lane, child) in tree.children(node).filter(|(_, child)| *child < nodes) {
                 share[child] = shares[lane];
             }
             let best = shares.iter().fold(0.0_f32, |a, b| a.max(*b));
