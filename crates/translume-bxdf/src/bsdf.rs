@@ -271,6 +271,12 @@ impl<'a> Bsdf<'a> {
         Some(sample)
     }
 
+    /// Whether it is [`Diffuse`] and nothing else: what leaves it on one side is the same in all directions.
+    #[inline]
+    pub fn is_lambertian(&self) -> bool {
+        matches!(self.model, Model::Diffuse(_)) && self.opacity >= 1.0
+    }
+
     /// All lobes there may be.
     #[inline]
     pub fn flags(&self) -> Flags {

@@ -229,6 +229,12 @@ impl Tile {
         self.features.len() / self.sums.len()
     }
 
+    /// Where pixel `i` of the tile is in the picture.
+    pub(crate) fn pixel(&self, i: usize) -> [u32; 2] {
+        let i = i as u32;
+        [self.origin[0] + i % self.size[0], self.origin[1] + i / self.size[0]]
+    }
+
     /// Adds one sample to pixel `i` of the tile; [`Tile::samples`] is the caller's to count, once for all pixels.
     #[inline]
     pub(crate) fn add(&mut self, i: usize, value: Rgb) {

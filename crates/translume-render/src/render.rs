@@ -183,16 +183,25 @@ impl<'a> Shot<'a> {
 
     /// The camera path of sample `sample` of pixel `i` of `tile`: its random numbers, its first ray and the filter's weight.
     pub(crate) fn camera_path(&self, tile: &Tile, i: usize, sample: u64) -> (PathSampler, Ray, f32) {
-        let i = i as u32;
-        self.camera_path_at([tile.origin[0] + i % tile.size[0], tile.origin[1] + i / tile.size[0]], sample)
+        self.camera_path_at(tile.pixel(i), sample)
     }
 
     /// The same of a pixel of the picture.
     pub(crate) fn camera_path_at(&self, pixel: [u32; 2], sample: u64) -> (PathSampler, Ray, f32) {
+        self.camera_path_by(self.seed, pixel, sample)
+    }
+
+    /// Rays through pixel `i` of `tile` that have nothing to do with its camera paths: number `number`, with the filter's weight.
+    pub(crate) fn camera_ray_beside(&self, tile: &Tile, i: usize, number: u64) -> (Ray, f32) {
+        let (_, ray, weight) = self.camera_path_by(self.seed ^ 0x6265_7369, tile.pixel(i), number);
+        (ray, weight)
+    }
+
+    fn camera_path_by(&self, seed: u64, pixel: [u32; 2], sample: u64) -> (PathSampler, Ray, f32) {
         let (offset, _) = self.window;
         let (x, y) = (pixel[0] + offset[0], pixel[1] + offset[1]);
         // The stream is the place on the film, so that a crop has the pixels of the whole.
-        let mut sampler = PathSampler::new(self.seed, u64::from(y) << 32 | u64::from(x), sample);
+        let mut sampler = PathSampler::new(seed, u64::from(y) << 32 | u64::from(x), sample);
         let (shift, weight) = self.filter.sample(sampler.next_2d());
         let film = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + shift;
         let ray = self.camera.ray(film, sampler.next_2d());

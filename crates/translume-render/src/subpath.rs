@@ -162,10 +162,13 @@ pub struct Walk<'a> {
     pub hide_lights: bool,
 }
 
-/// What is carried along.
-struct State {
+/// A walk that is under way.
+pub struct Going {
+    /// Factor so far.
+    pub throughput: Rgb,
+    segments: u32,
+    stage: Stage,
     ray: Ray,
-    throughput: Rgb,
     /// The throughput since the walk began, without refraction's change of radiance: for roulette.
     loss: Rgb,
     eta: f32,
@@ -173,6 +176,18 @@ struct State {
     parent: u32,
     survival: f32,
     passed: f32,
+    /// Density of finding the begin from the other side.
+    start_back: f32,
+}
+
+/// What comes next.
+#[derive(PartialEq)]
+enum Stage {
+    /// A ray.
+    Fly,
+    /// The scattering at the last vertex.
+    Scatter,
+    Ended,
 }
 
 /// One scattering of a walk.
@@ -186,71 +201,139 @@ struct Step {
     delta: bool,
 }
 
+impl Going {
+    /// Along a ray, with the factor and the density that it begins with.
+    pub fn new((ray, throughput, density): (Ray, Rgb, Density)) -> Self {
+        Self {
+            throughput,
+            segments: 0,
+            stage: Stage::Fly,
+            ray,
+            loss: Rgb::ONE,
+            eta: 1.0,
+            density,
+            parent: NONE,
+            survival: 1.0,
+            passed: 1.0,
+            start_back: 0.0,
+        }
+    }
+
+    /// That goes nowhere.
+    pub fn end(&mut self) {
+        self.stage = Stage::Ended;
+    }
+
+    fn arrive(&self, hit: SurfaceHit) -> Vertex {
+        Vertex {
+            hit,
+            throughput: self.throughput,
+            pdf: self.density.at(hit.point.p, hit.n(), hit.wo),
+            pdf_back: 0.0,
+            parent: self.parent,
+            segments: self.segments,
+            survival: self.survival,
+            passed: self.passed,
+            delta: false,
+        }
+    }
+}
+
 impl Walk<'_> {
     /// Follows `ray` and appends what it meets to `out`. `start` is the light's point, for the density that is returned
     /// second: that of finding it from the other side.
     pub fn run(
         &self,
-        (ray, throughput, density): (Ray, Rgb, Density),
+        begin: (Ray, Rgb, Density),
         start: Option<&LightPoint>,
         sampler: &mut PathSampler,
         rays: &mut u64,
         out: &mut Vec<Vertex>,
     ) -> (Option<Escape>, f32) {
-        let mut s =
-            State { ray, throughput, loss: Rgb::ONE, eta: 1.0, density, parent: NONE, survival: 1.0, passed: 1.0 };
-        let mut start_back = 0.0;
-        for segments in 1..=self.limits.segments {
-            *rays += 1;
-            let hidden = segments == 1 && self.hide_lights;
-            let found = if hidden { self.world.intersect_behind_lights(&s.ray) } else { self.world.intersect(&s.ray) };
-            let Some(hit) = found else {
-                let pdf_w = if let Density::Angle { pdf_w, .. } = s.density { pdf_w } else { 0.0 };
-                let escape = Escape { d: s.ray.d, throughput: s.throughput, pdf_w, parent: s.parent, segments };
-                return (Some(escape), start_back);
-            };
-            let pdf = s.density.at(hit.point.p, hit.n(), hit.wo);
-            let (throughput, parent) = (s.throughput, s.parent);
-            let (survival, passed) = (s.survival, s.passed);
-            out.push(Vertex { hit, throughput, pdf, pdf_back: 0.0, parent, segments, survival, passed, delta: false });
-            if segments == self.limits.segments {
-                break;
-            }
-            let index = out.len() - 1;
-            let shading = self.world.shading(&hit);
-            let Some(sample) = shading.sample(hit.wo, sampler.next_1d(), sampler.next_2d(), self.mode) else { break };
-            if sample.flags.contains(Flags::NULL) {
-                if !shading.flags().has_smooth() && !self.world.is_light(&hit) {
-                    out.pop();
+        let mut going = Going::new(begin);
+        let escape = self.follow(&mut going, usize::MAX, start, sampler, rays, out);
+        (escape, going.start_back)
+    }
+
+    /// Goes on until `out` has this many vertices; the walk has not scattered at the last one yet.
+    pub fn follow(
+        &self,
+        s: &mut Going,
+        vertices: usize,
+        start: Option<&LightPoint>,
+        sampler: &mut PathSampler,
+        rays: &mut u64,
+        out: &mut Vec<Vertex>,
+    ) -> Option<Escape> {
+        while s.stage == Stage::Scatter || s.stage == Stage::Fly && s.segments < self.limits.segments {
+            if s.stage == Stage::Fly {
+                s.segments += 1;
+                *rays += 1;
+                let hidden = s.segments == 1 && self.hide_lights;
+                let found =
+                    if hidden { self.world.intersect_behind_lights(&s.ray) } else { self.world.intersect(&s.ray) };
+                let Some(hit) = found else {
+                    s.stage = Stage::Ended;
+                    let pdf_w = if let Density::Angle { pdf_w, .. } = s.density { pdf_w } else { 0.0 };
+                    let (throughput, parent, segments) = (s.throughput, s.parent, s.segments);
+                    return Some(Escape { d: s.ray.d, throughput, pdf_w, parent, segments });
+                };
+                out.push(s.arrive(hit));
+                s.stage = if s.segments >= self.limits.segments { Stage::Ended } else { Stage::Scatter };
+                if out.len() >= vertices {
+                    break;
                 }
-                s.ray = hit.point.spawn(sample.wi);
-                s.throughput *= sample.weight;
-                s.loss *= sample.weight;
-                s.passed *= sample.pdf_w;
-            } else {
-                let Some(step) = self.step(&hit, &shading, &sample) else { break };
-                out[index].delta = step.delta;
-                let back = Density::Angle { from: hit.point.p, pdf_w: step.pdf_back_w };
-                match out.get_mut(parent as usize) {
-                    Some(parent) => parent.pdf_back = back.at(parent.hit.point.p, parent.hit.n(), hit.wo),
-                    None => {
-                        start_back = start
-                            .map_or(0.0, |q| q.from_solid_angle(step.pdf_back_w, hit.wo, (q.p - hit.point.p).length()));
-                    }
-                }
-                s.ray = hit.point.spawn(step.wi);
-                s.throughput *= step.weight;
-                s.loss *= step.weight;
-                s.eta *= step.eta;
-                s.density = Density::Angle { from: hit.point.p, pdf_w: step.pdf_w };
-                s.parent = index as u32;
-                (s.survival, s.passed) = (1.0, 1.0);
             }
-            if !self.survives(&mut s, segments, sampler) {
-                break;
+            if s.stage == Stage::Scatter {
+                let goes_on = self.scatter(s, start, sampler, out) && self.survives(s, sampler);
+                s.stage = if goes_on { Stage::Fly } else { Stage::Ended };
             }
         }
-        (None, start_back)
+        None
+    }
+
+    /// Scatters at the last vertex of `out`; whether the walk can go on.
+    fn scatter(
+        &self,
+        s: &mut Going,
+        start: Option<&LightPoint>,
+        sampler: &mut PathSampler,
+        out: &mut Vec<Vertex>,
+    ) -> bool {
+        let index = out.len() - 1;
+        let hit = out[index].hit;
+        let shading = self.world.shading(&hit);
+        let Some(sample) = shading.sample(hit.wo, sampler.next_1d(), sampler.next_2d(), self.mode) else {
+            return false;
+        };
+        if sample.flags.contains(Flags::NULL) {
+            if !shading.flags().has_smooth() && !self.world.is_light(&hit) {
+                out.pop();
+            }
+            s.ray = hit.point.spawn(sample.wi);
+            s.throughput *= sample.weight;
+            s.loss *= sample.weight;
+            s.passed *= sample.pdf_w;
+            return true;
+        }
+        let Some(step) = self.step(&hit, &shading, &sample) else { return false };
+        out[index].delta = step.delta;
+        let back = Density::Angle { from: hit.point.p, pdf_w: step.pdf_back_w };
+        match out.get_mut(s.parent as usize) {
+            Some(parent) => parent.pdf_back = back.at(parent.hit.point.p, parent.hit.n(), hit.wo),
+            None => {
+                s.start_back =
+                    start.map_or(0.0, |q| q.from_solid_angle(step.pdf_back_w, hit.wo, (q.p - hit.point.p).length()));
+            }
+        }
+        s.ray = hit.point.spawn(step.wi);
+        s.throughput *= step.weight;
+        s.loss *= step.weight;
+        s.eta *= step.eta;
+        s.density = Density::Angle { from: hit.point.p, pdf_w: step.pdf_w };
+        s.parent = index as u32;
+        (s.survival, s.passed) = (1.0, 1.0);
+        true
     }
 
     /// The scattering that was drawn, with its densities.
@@ -283,11 +366,11 @@ impl Walk<'_> {
         usable.then_some(Step { wi, weight, eta, pdf_w: sample.pdf_w, pdf_back_w, delta: false })
     }
 
-    fn survives(&self, s: &mut State, segments: u32, sampler: &mut PathSampler) -> bool {
+    fn survives(&self, s: &mut Going, sampler: &mut PathSampler) -> bool {
         if s.loss.max_element() <= 0.0 {
             return false;
         }
-        if segments >= self.limits.rr_depth {
+        if s.segments >= self.limits.rr_depth {
             let survival = crate::integrator::survival(s.loss, s.eta, crate::integrator::MOST_SURVIVAL);
             if sampler.next_1d() >= survival {
                 return false;

@@ -283,6 +283,16 @@ impl World {
     }
 
     /// A medium.
+    /// Whether nothing at all is on `segment`, not even what lets light pass.
+    pub(crate) fn is_clear(&self, segment: &Ray) -> bool {
+        !self.tracer.occluded(segment)
+    }
+
+    /// Whether any surface lets light pass straight.
+    pub(crate) fn has_null(&self) -> bool {
+        self.has_null
+    }
+
     pub(crate) fn medium(&self, id: MediumId) -> &Tracked {
         &self.media[id.0]
     }

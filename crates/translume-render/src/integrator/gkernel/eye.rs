@@ -2,13 +2,14 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
-use super::Plan;
 use super::light::Reach;
+use super::share::{self, Group, Onward, Receiver, Share};
 use super::weight::{Way, Weighing};
+use super::{Block, Plan};
 use crate::light::{Factors, LightPoint};
-use crate::subpath::{Density, Escape, Limits, Vertex, Walk, scattering};
+use crate::subpath::{Density, Escape, Going, Limits, Vertex, Walk, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
-use crate::{PathSampler, Rgb};
+use crate::{PathSampler, Rgb, luminance};
 use glam::Vec3;
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
@@ -18,10 +19,16 @@ use translume_trace::Ray;
 pub(crate) struct EyeVertex<'a> {
     pub(crate) hit: SurfaceHit,
     pub(crate) shading: Shading<'a>,
-    /// Factor on radiance, pixel filter included.
+    /// Factor on radiance, pixel filter included; of a tail's, since its begin.
     pub(crate) throughput: Rgb,
+    /// Luminance of the whole factor.
+    pub(crate) gain: f32,
     /// Number of the camera path.
     pub(crate) path: u32,
+    /// Number of the tail that it belongs to: what is found here is for all paths that share it.
+    pub(crate) tail: Option<u32>,
+    /// Of a path's first vertex: those that share tails with it.
+    pub(crate) group: Option<Group>,
     pub(crate) segments: u32,
     /// Surfaces met, from 0.
     pub(crate) depth: u32,
@@ -57,59 +64,186 @@ pub(crate) struct Eye<'a> {
     pub(crate) plan: Plan<'a>,
 }
 
+/// A camera path that is under way.
+pub(crate) struct Walked {
+    /// Its pixel: the number of its tile, and its own number there.
+    place: (u32, u32),
+    /// In the picture.
+    pub(super) pixel: [u32; 2],
+    /// What rays beside it saw of lamps, and how much its own sight of them counts.
+    pub(super) beside: Rgb,
+    pub(super) sight: f32,
+    going: Going,
+    vertices: Vec<Vertex>,
+    escape: Option<Escape>,
+    sampler: PathSampler,
+    /// The camera's point.
+    from: Vec3,
+}
+
 impl<'a> Eye<'a> {
-    /// Traces `ray` with weight `weight`, appends vertices of path number `path` to `out`, and returns the radiance of the
-    /// lights that were met.
-    #[allow(clippy::too_many_arguments, reason = "one path's worth")]
-    pub(crate) fn trace(
+    fn walk(&self) -> Walk<'a> {
+        Walk { world: self.world, mode: Mode::Radiance, limits: self.limits, hide_lights: self.hide_lights }
+    }
+
+    /// Follows `ray` with weight `weight` to its second vertex.
+    pub(crate) fn begin(
         &self,
+        place: (u32, u32),
+        pixel: [u32; 2],
         (ray, density, weight): (&Ray, Density, f32),
-        path: u32,
-        sampler: &mut PathSampler,
+        mut sampler: PathSampler,
         rays: &mut u64,
-        buffer: &mut Vec<Vertex>,
-        out: &mut Vec<EyeVertex<'a>>,
-    ) -> Rgb {
-        let walk = Walk { world: self.world, mode: Mode::Radiance, limits: self.limits, hide_lights: self.hide_lights };
-        buffer.clear();
-        let begin = (*ray, Rgb::splat(weight), density);
-        let (escape, _) = walk.run(begin, None, sampler, rays, buffer);
-        let (mut behind, mut depths) = (Vec::with_capacity(buffer.len()), Vec::with_capacity(buffer.len()));
-        let mut radiance = Rgb::ZERO;
-        let mut emitters = sampler.branch(0x656d_6974);
-        for (i, v) in buffer.iter().enumerate() {
-            behind.push(self.behind(buffer, &behind, v.parent));
-            depths.push(depths.get(v.parent as usize).map_or(0, |d| d + 1));
-            radiance += self.emitted(buffer, v, depths[i], behind[i]);
-            let shading = self.world.shading(&v.hit);
-            if !shading.flags().has_smooth() || v.segments >= self.limits.segments {
+    ) -> Walked {
+        let mut going = Going::new((*ray, Rgb::splat(weight), density));
+        let mut vertices = Vec::with_capacity(8);
+        let escape = self.walk().follow(&mut going, 2, None, &mut sampler, rays, &mut vertices);
+        Walked { place, pixel, beside: Rgb::ZERO, sight: 1.0, going, vertices, escape, sampler, from: ray.o }
+    }
+
+    /// What the first surface that a camera path meets emits.
+    pub(super) fn sight(&self, walked: &Walked) -> Rgb {
+        let first = walked.vertices.first().filter(|v| v.segments == 1);
+        first.map_or(Rgb::ZERO, |v| self.emitted(&walked.vertices, v, 0, 0.0))
+    }
+
+    /// The same of a ray, not weighted.
+    pub(super) fn sight_along(&self, ray: &Ray) -> Rgb {
+        let hit = if self.hide_lights { None } else { self.world.intersect(ray) };
+        hit.and_then(|hit| self.world.emission(&hit)).map_or(Rgb::ZERO, |(radiance, _)| radiance)
+    }
+
+    /// Takes up camera paths of neighbouring pixels: those that resemble each other share, `sharers` for each that goes on.
+    pub(crate) fn take_up(&self, mut walks: Vec<Walked>, sharers: usize, block: &mut Block<'a>) {
+        let base = block.radiance.len() as u32;
+        for walked in &walks {
+            block.places.push(walked.place);
+            block.radiance.push(walked.beside + self.sight(walked) * (walked.sight - 1.0));
+        }
+        if let [walked] = &mut walks[..] {
+            self.finish(base, walked, None, Onward::Alone, block);
+            return;
+        }
+        let receiver = |(path, w): (u32, &Walked)| Receiver::of(self.world, path, &w.vertices, self.limits.segments);
+        let mut receivers: Vec<Option<Receiver>> = (base..).zip(&walks).map(receiver).collect();
+        let number = |i: usize| base + i as u32;
+        for (i, walked) in walks.iter_mut().enumerate().filter(|(i, _)| receivers[*i].is_none()) {
+            self.finish(number(i), walked, None, Onward::Alone, block);
+        }
+        for i in 0..walks.len() {
+            let Some(first) = receivers[i].take() else { continue };
+            let mut members = vec![i];
+            let mut group = vec![first];
+            for (j, other) in receivers.iter_mut().enumerate().skip(i + 1) {
+                if let Some(receiver) = other.take_if(|r| r.resembles(&group[0], walks[i].from)) {
+                    members.push(j);
+                    group.push(receiver);
+                }
+            }
+            if group.len() == 1 {
+                self.finish(number(i), &mut walks[i], None, Onward::Alone, block);
                 continue;
             }
-            let parent = buffer.get(v.parent as usize);
-            let y = EyeVertex {
-                hit: v.hit,
-                shading,
-                throughput: v.throughput,
-                path,
-                segments: v.segments,
-                depth: depths[i],
-                pdf: v.pdf,
-                back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
-                before: parent.map_or(1.0, |p| p.pdf),
-                distance: parent.map_or(0.0, |p| between(p, &v.hit)),
-                way: Way::of(parent.is_none_or(|p| p.delta), false),
-                behind: behind[i],
-            };
-            if self.plan.weighing.emitters > 0.0 {
-                radiance += self.lit(&y, &mut emitters, rays);
+            let carriers = group.len().div_ceil(sharers);
+            // Carriers first: evenly among the rest.
+            for k in 0..carriers {
+                let at = k * group.len() / carriers;
+                members.swap(k, at);
+                group.swap(k, at);
             }
-            out.push(y);
+            let onward: Vec<_> = (0..)
+                .zip(&members)
+                .map(|(own, j)| {
+                    share::onward(self.world, (&group, carriers, own), &walks[*j].vertices, &mut block.rays)
+                })
+                .collect();
+            let first = block.eyes.len() as u32;
+            let mut before: Option<usize> = None;
+            for (own, (j, onward)) in members.iter().zip(onward).enumerate() {
+                let carries = own < carriers;
+                let begin = block.eyes.len();
+                if let Some(group) = before.filter(|_| carries).and_then(|b| block.eyes[b].group.as_mut()) {
+                    group.next = Some(begin as u32);
+                }
+                before = Some(begin);
+                let shared = Group { first, next: None, carries, carriers: carriers as f32 };
+                self.finish(number(*j), &mut walks[*j], Some(shared), onward, block);
+            }
+        }
+    }
+
+    /// Follows a path to its end; appends its vertices, and the radiance of the lights that it meets.
+    fn finish(&self, path: u32, walked: &mut Walked, group: Option<Group>, onward: Onward, block: &mut Block<'a>) {
+        let Walked { going, vertices, escape, sampler, .. } = walked;
+        let own = vertices.first().copied();
+        let mut tail = None;
+        // Of the path at the tail's begin.
+        let mut factor = Rgb::ONE;
+        if !matches!(onward, Onward::Alone) {
+            // What the second vertex emits is for this path alone.
+            block.radiance[path as usize] += self.emitted(vertices, &vertices[1], 1, 0.0);
+        }
+        match onward {
+            Onward::Alone => (),
+            Onward::Left => {
+                vertices.truncate(1);
+                going.end();
+            }
+            Onward::Carries(seen, shares) => {
+                let number = block.tails.len() as u32;
+                tail = Some(number);
+                block.tails.push(Rgb::ZERO);
+                block.shares.extend(shares.into_iter().map(|(path, factor)| Share { tail: number, path, factor }));
+                factor = vertices[1].throughput;
+                going.throughput = seen[1].throughput;
+                vertices.copy_from_slice(&*seen);
+            }
+        }
+        if escape.is_none() {
+            *escape = self.walk().follow(going, usize::MAX, None, sampler, &mut block.rays, vertices);
+        }
+        let mut emitters = sampler.branch(0x656d_6974);
+        let (mut behind, mut depths) = (Vec::with_capacity(vertices.len()), Vec::with_capacity(vertices.len()));
+        for (i, v) in own.iter().chain(vertices.iter().skip(1)).enumerate() {
+            behind.push(self.behind(vertices, &behind, v.parent));
+            depths.push(depths.get(v.parent as usize).map_or(0, |d| d + 1));
+            let tail = tail.filter(|_| i > 0);
+            let mut found = Rgb::ZERO;
+            if i != 1 || tail.is_none() {
+                found += self.emitted(vertices, v, depths[i], behind[i]);
+            }
+            let shading = self.world.shading(&v.hit);
+            if shading.flags().has_smooth() && v.segments < self.limits.segments {
+                let parent = vertices.get(v.parent as usize);
+                let y = EyeVertex {
+                    hit: v.hit,
+                    shading,
+                    throughput: v.throughput,
+                    gain: luminance(if tail.is_some() { v.throughput * factor } else { v.throughput }),
+                    path,
+                    tail,
+                    group: group.filter(|_| i == 0),
+                    segments: v.segments,
+                    depth: depths[i],
+                    pdf: v.pdf,
+                    back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
+                    before: parent.map_or(1.0, |p| p.pdf),
+                    distance: parent.map_or(0.0, |p| between(p, &v.hit)),
+                    way: Way::of(parent.is_none_or(|p| p.delta), false),
+                    behind: behind[i],
+                };
+                if self.plan.weighing.emitters > 0.0 {
+                    found += self.lit(&y, &mut emitters, &mut block.rays);
+                }
+                block.eyes.push(y);
+            }
+            *block.light_of(path, tail) += found;
         }
         if let Some(escape) = escape {
             let depth = depths.get(escape.parent as usize).copied().unwrap_or(0);
-            radiance += self.escaped(buffer, &escape, depth, self.behind(buffer, &behind, escape.parent));
+            let found = self.escaped(vertices, escape, depth, self.behind(vertices, &behind, escape.parent));
+            *block.light_of(path, tail) += found;
         }
-        radiance
     }
 
     /// The bracket behind the vertex before, of a vertex whose parent has this number.
@@ -209,9 +343,11 @@ impl<'a> Eye<'a> {
 }
 
 /// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct light of many lamps
-/// on the first one is most of the noise that is left.
+/// on the first one is most of the noise that is left; what is found at the second one is for many pixels. Beyond it is one, as
+/// light paths take it to be.
 pub(super) fn emitter_samples(world: &World, depth: u32) -> u32 {
-    if depth == 0 { (world.lights().len() as u32).clamp(1, 4) } else { 1 }
+    let most = [6, 3, 1][depth.min(2) as usize];
+    (world.lights().len() as u32).clamp(1, most)
 }
 
 /// 1/(1 + A); where nothing competes A may be 0 · ∞.

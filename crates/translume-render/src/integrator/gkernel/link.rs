@@ -217,7 +217,7 @@ impl<'a> Linker<'a> {
                         common = Some((link.light, Common { parent: self.parent(v), flat: None }));
                     }
                     match &mut common {
-                        Some((_, common)) => self.link(link, v, common, y),
+                        Some((_, common)) => self.link(link, v, common, (y, eyes)),
                         None => Score { value: Rgb::ZERO, visible: false, rays: 0 },
                     }
                 })
@@ -278,7 +278,7 @@ impl<'a> Linker<'a> {
         Parent::Vertex(parent, Box::new(self.world.shading(&parent.hit)))
     }
 
-    fn link(&self, link: &Link, v: &LightVertex, common: &mut Common, y: &EyeVertex) -> Score {
+    fn link(&self, link: &Link, v: &LightVertex, common: &mut Common, (y, eyes): (&EyeVertex, &[EyeVertex])) -> Score {
         let parent = &common.parent;
         let mut score = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         let before = if let Parent::Vertex(p, _) = parent { u32::from(p.segments) } else { 0 };
@@ -317,7 +317,18 @@ impl<'a> Linker<'a> {
             _ => 1.0 / (PI * v.radius * v.radius * v.cos() * self.kernel_mean() * v.passed),
         };
         let kernel = kernel * self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
-        let weight = self.weight(parent, &arrival, &here, y, cos_y);
+        let clear = || visible == Rgb::ONE && (!self.world.has_null() || self.world.is_clear(&segment));
+        let weight = match self.weighs(parent, (y, eyes), clear, &mut score.rays) {
+            None => self.weight(parent, &arrival, &here, (y, cos_y), 1.0),
+            Some((first, size)) => {
+                let Some(arrival) = self.arrival(parent, first.hit.point.p) else { return score };
+                let Some(here) = scattering(self.world, &first.hit, &first.shading, arrival.wi, first.hit.wo) else {
+                    return score;
+                };
+                let cos = first.hit.n().dot(arrival.wi).abs();
+                self.weight(parent, &arrival, &here, (first, cos), size)
+            }
+        };
         let paths = self.lights.count as f32;
         score.value = arrival.value
             * visible
@@ -425,11 +436,31 @@ impl<'a> Linker<'a> {
         samples * self.world.pdf_direct(&y.hit, &y.shading, self.plan.seen, &start.point(), arrival.wi)
     }
 
-    fn weight(&self, parent: &Parent, arrival: &Arrival, here: &Scattering, y: &EyeVertex, cos_y: f32) -> f32 {
+    /// The camera vertex whose weights a link takes instead of those of `y`, and the factor on its density; see [`super::share`].
+    fn weighs<'e>(
+        &self,
+        parent: &Parent,
+        (y, eyes): (&EyeVertex, &'e [EyeVertex<'a>]),
+        clear: impl Fn() -> bool,
+        rays: &mut u64,
+    ) -> Option<(&'e EyeVertex<'a>, f32)> {
+        let (group, Parent::Vertex(p, shading)) = (y.group?, parent) else { return None };
+        group.weighs(self.world, (y, eyes), (&p.hit, shading), clear, rays)
+    }
+
+    /// Of a link to `y`, with so many times the camera's density of the parent.
+    fn weight(
+        &self,
+        parent: &Parent,
+        arrival: &Arrival,
+        here: &Scattering,
+        (y, cos_y): (&EyeVertex, f32),
+        times: f32,
+    ) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
         let own = self.plan.weighing.own(Way::Link, self.plan.weighing.landing(onto_y, arrival.reach));
         let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
-        let parent_pdf = here.pdf_to_light * arrival.onto_parent;
+        let parent_pdf = here.pdf_to_light * arrival.onto_parent * times;
         let light = match parent {
             Parent::Start(start) => {
                 let (w, begin) = (&self.plan.weighing, start.pdf_begin());
@@ -438,7 +469,10 @@ impl<'a> Linker<'a> {
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                let inner = self.plan.weighing.add(p.way(), p.landing(), there * p.back, p.behind) + p.direct;
+                // Light paths take it to be one sample.
+                let samples = emitter_samples(self.world, y.depth + 1) as f32;
+                let w = &self.plan.weighing;
+                let inner = w.add(p.way(), p.landing(), there * p.back, p.behind) + w.times(samples, p.direct);
                 self.plan.weighing.times(parent_pdf / p.pdf, inner)
             }
         };

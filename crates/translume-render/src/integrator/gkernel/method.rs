@@ -34,6 +34,8 @@ pub(crate) struct Method {
     pub(crate) emitters: bool,
     /// That sampling knows which lights a pilot found to be seen from where.
     pub(crate) seen: bool,
+    /// Pixels at the edges of lamps get more rays.
+    pub(crate) edges: bool,
     /// Weights know how steady those samples are.
     pub(crate) steady: bool,
     /// Light paths of a step are points of a low-discrepancy sequence.
@@ -43,13 +45,19 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 17] = [
-    Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: a quarter as many as pixels" },
+pub(crate) const OPTIONS: [Choice; 20] = [
+    Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: an eighth as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
+    Choice {
+        name: "shared",
+        default: "0",
+        about: "side of blocks of pixels whose camera paths share what they find; 0: 8, with weights=false 1",
+    },
+    Choice { name: "sharers", default: "4", about: "camera paths in such a block for each that goes on for all" },
     Choice {
         name: "links",
         default: "0",
-        about: "unoccluded links of a camera path; 0: 5, with target=false 10 of each vertex",
+        about: "unoccluded links of a camera path; 0: 3, with target=false 10 of each vertex",
     },
     Choice {
         name: "printed",
@@ -73,6 +81,7 @@ pub(crate) const OPTIONS: [Choice; 17] = [
         default: "auto",
         about: "that sampling knows which lights are seen from where, as a pilot found",
     },
+    Choice { name: "edges", default: "auto", about: "more rays through pixels at the edges of lamps" },
     Choice { name: "steady", default: "auto", about: "weights know how little samples of lights differ" },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
     Choice {
@@ -117,6 +126,7 @@ impl Method {
             acceptance: auto("acceptance")?,
             emitters: auto("emitters")?,
             seen: auto("seen")?,
+            edges: auto("edges")?,
             steady: auto("steady")?,
             sobol: auto("sobol")?,
             weights: auto("weights")?,

@@ -23,23 +23,26 @@ mod light;
 mod link;
 mod method;
 mod pilot;
+mod pixels;
 mod points;
+mod share;
 mod weight;
 
 use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
 use crate::light::{Seen, Starts};
 use crate::render::Shot;
-use crate::subpath::{Limits, Vertex};
+use crate::subpath::Limits;
 use crate::world::World;
-use crate::{Result, Rgb, luminance};
-use eye::{Eye, EyeVertex};
+use crate::{Result, Rgb};
+use eye::EyeVertex;
 use light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
 use method::Method;
 pub(crate) use method::OPTIONS;
 use pilot::{Outlook, Pilot};
 use rayon::prelude::*;
+use share::{Group, Share};
 use std::collections::HashMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
@@ -50,10 +53,14 @@ use weight::{Way, Weighing};
 /// See the module.
 pub struct GKernel {
     settings: Settings,
-    /// Light paths of a step; 0: a quarter as many as pixels, at least [`FEWEST_PATHS`].
+    /// Light paths of a step; 0: an eighth as many as pixels, at least [`FEWEST_PATHS`].
     light_paths: u32,
     /// Camera paths of a pixel in each step.
     eye_paths: u64,
+    /// Pixels on a side of the blocks that share what their camera paths find.
+    shared: u32,
+    /// Camera paths for each that goes on for all of them.
+    sharers: usize,
     /// Unoccluded links that a camera path should get, or each of its vertices: the paper's M.
     links: f32,
     method: Method,
@@ -67,16 +74,19 @@ pub struct GKernel {
 }
 
 /// Unoccluded links that a camera path gets unless the user says otherwise.
-const LINKS: f32 = 5.0;
+const LINKS: f32 = 3.0;
 
 /// The paper's M, of each vertex.
 const PRINTED_LINKS: f32 = 10.0;
+
+/// Side of the blocks of pixels that share, unless the user says otherwise.
+const SHARED: u32 = 8;
 
 /// Most trial links over the unoccluded links that are wanted.
 const MOST_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
-const FEWEST_PATHS: u32 = 5_000;
+const FEWEST_PATHS: u32 = 10_000;
 const MOST_PATHS: u32 = 1_000_000;
 
 /// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it is larger, so
@@ -127,11 +137,26 @@ struct Counts {
 }
 
 /// A part of the picture, with the camera's paths through it.
+#[derive(Default)]
 struct Block<'a> {
     eyes: Vec<EyeVertex<'a>>,
-    /// Per camera path.
+    /// Per camera path: its tile and its pixel there, and what it found.
+    places: Vec<(u32, u32)>,
     radiance: Vec<Rgb>,
+    /// What was found beyond vertices that several camera paths share, and what each gets of it.
+    tails: Vec<Rgb>,
+    shares: Vec<Share>,
     rays: u64,
+}
+
+impl Block<'_> {
+    /// Where light belongs that was found on a path, or in its tail.
+    fn light_of(&mut self, path: u32, tail: Option<u32>) -> &mut Rgb {
+        match tail {
+            Some(tail) => &mut self.tails[tail as usize],
+            None => &mut self.radiance[path as usize],
+        }
+    }
 }
 
 impl GKernel {
@@ -143,6 +168,11 @@ impl GKernel {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
         let method = Method::new(options)?;
+        let shared = match options.number("shared", 0..=16)? as u32 {
+            0 if method.weights => SHARED,
+            n => n.max(1),
+        };
+        let sharers = options.number("sharers", 1..=256)? as usize;
         let links = match (options.number("links", 0..=1000)?, method.target) {
             (0, true) => LINKS,
             (0, false) => PRINTED_LINKS,
@@ -152,6 +182,8 @@ impl GKernel {
             settings,
             light_paths,
             eye_paths,
+            shared,
+            sharers,
             links,
             method,
             pilot: OnceLock::new(),
@@ -188,7 +220,7 @@ impl GKernel {
 
     fn light_paths(&self, shot: &Shot) -> u32 {
         let [w, h] = shot.size();
-        if self.light_paths > 0 { self.light_paths } else { (w * h / 4).clamp(FEWEST_PATHS, MOST_PATHS) }
+        if self.light_paths > 0 { self.light_paths } else { (w * h / 8).clamp(FEWEST_PATHS, MOST_PATHS) }
     }
 
     fn request<'a>(&self, shot: &Shot<'a>, step: u64, bandwidth: Bandwidth, plan: Plan<'a>) -> Request<'a> {
@@ -205,29 +237,6 @@ impl GKernel {
             count: self.light_paths(shot),
             sobol: self.method.sobol,
         }
-    }
-
-    /// Camera paths number `sample` of the pixels of `tile` that `wanted` says.
-    fn eyes<'a>(
-        &self,
-        shot: &Shot<'a>,
-        plan: Plan<'a>,
-        tile: &Tile,
-        sample: u64,
-        wanted: impl Fn(usize) -> bool,
-    ) -> Block<'a> {
-        let limits = Limits { segments: self.settings.most_segments(), rr_depth: self.settings.rr_depth };
-        let eye = Eye { world: shot.world, limits, hide_lights: self.settings.hide_emitters, plan };
-        let mut block = Block { eyes: Vec::new(), radiance: Vec::new(), rays: 0 };
-        let mut buffer: Vec<Vertex> = Vec::new();
-        for i in (0..tile.sums.len()).filter(|i| wanted(*i)) {
-            let (mut sampler, ray, weight) = shot.camera_path(tile, i, sample);
-            let path = block.radiance.len() as u32;
-            let begin = (&ray, shot.camera_density(&ray), weight);
-            let radiance = eye.trace(begin, path, &mut sampler, &mut block.rays, &mut buffer, &mut block.eyes);
-            block.radiance.push(radiance);
-        }
-        block
     }
 
     fn linker<'a>(&self, request: &Request<'a>, lights: &'a LightPaths, sample: u64) -> Linker<'a> {
@@ -261,7 +270,7 @@ impl GKernel {
             return v.printed;
         }
         let cos_y = if v.way == Way::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
-        v.gain * cos_y * luminance(eye.throughput) * (linker.likely_weight(v, eye) + 0.02)
+        v.gain * cos_y * eye.gain * (linker.likely_weight(v, eye) + 0.02)
     }
 
     /// What the pilot found about this view.
@@ -302,23 +311,28 @@ impl GKernel {
         (linker, traced): (&Linker, &Traced),
         outlook: &Outlook,
     ) -> u64 {
-        let mut parts: Vec<Block> = tiles
-            .par_iter_mut()
-            .map(|t| {
-                shot.add_features(t, aovs, sample);
-                self.eyes(shot, linker.plan, t, sample, |_| true)
-            })
-            .collect();
-        let mut radiance = Vec::new();
+        tiles.par_iter_mut().for_each(|t| shot.add_features(t, aovs, sample));
+        let (mut places, mut radiance) = (Vec::new(), Vec::new());
+        let (mut tails, mut shares) = (Vec::new(), Vec::new());
         let mut eyes = Vec::new();
         let mut wanted = Vec::new();
         let mut rays = 0;
-        for (t, part) in parts.iter_mut().enumerate() {
-            let base = radiance.len() as u32;
+        for mut part in self.eyes(shot, linker.plan, tiles, sample) {
+            let [base, first_tail, first_eye] = [radiance.len(), tails.len(), eyes.len()].map(|n| n as u32);
+            places.append(&mut part.places);
             radiance.append(&mut part.radiance);
+            tails.append(&mut part.tails);
+            shares.extend(part.shares.iter().map(|s| Share { tail: s.tail + first_tail, path: s.path + base, ..*s }));
             for eye in part.eyes.drain(..) {
-                wanted.push(outlook.trials(self.links, first_tile + t, eye.depth));
-                eyes.push(EyeVertex { path: eye.path + base, ..eye });
+                let path = eye.path + base;
+                wanted.push(outlook.trials(self.links, first_tile + places[path as usize].0 as usize, eye.depth));
+                let later = |g: Group| Group { first: g.first + first_eye, next: g.next.map(|n| n + first_eye), ..g };
+                eyes.push(EyeVertex {
+                    path,
+                    tail: eye.tail.map(|t| t + first_tail),
+                    group: eye.group.map(later),
+                    ..eye
+                });
             }
             rays += part.rays;
         }
@@ -328,19 +342,21 @@ impl GKernel {
         let scores = linker.score(&links, &eyes);
         let mut unoccluded = 0;
         for (link, score) in links.iter().zip(scores) {
-            radiance[eyes[link.eye as usize].path as usize] += score.value;
+            let eye = &eyes[link.eye as usize];
+            let sum = eye.tail.map_or_else(|| &mut radiance[eye.path as usize], |tail| &mut tails[tail as usize]);
+            *sum += score.value;
             unoccluded += u64::from(score.visible);
             rays += score.rays;
         }
+        for share in shares {
+            radiance[share.path as usize] += share.factor * tails[share.tail as usize];
+        }
         let c = &self.counts;
         c.camera_paths.fetch_add(radiance.len() as u64, Ordering::Relaxed);
-        let mut values = radiance.into_iter();
-        for tile in tiles {
-            for i in 0..tile.sums.len() {
-                tile.add(i, values.next().unwrap_or(Rgb::ZERO));
-            }
-            tile.samples += 1;
+        for ((tile, pixel), value) in places.into_iter().zip(radiance) {
+            tiles[tile as usize].add(pixel as usize, value);
         }
+        tiles.iter_mut().for_each(|tile| tile.samples += 1);
         c.eye_vertices.fetch_add(eyes.len() as u64, Ordering::Relaxed);
         c.candidates.fetch_add(candidates.len() as u64, Ordering::Relaxed);
         c.requested.fetch_add(links.len() as u64, Ordering::Relaxed);

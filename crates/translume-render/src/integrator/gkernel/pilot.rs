@@ -116,7 +116,7 @@ impl GKernel {
         let Ok(Film { tiles, .. }) = shot.film(&[]) else { return Flock::default() };
         // Their vertices are wanted, not light.
         let plan = Plan { weighing: Weighing { emitters: 0.0, ..plan.weighing }, ..plan };
-        let block = |t| self.eyes(shot, plan, t, STEP, |i| i % SPARSE == 5);
+        let block = |t| self.sparse_eyes(shot, plan, (t, STEP), |i| i % SPARSE == 5);
         let blocks: Vec<Block> = tiles.par_iter().map(block).collect();
         let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: tiles.len() };
         let mut paths = 0;
