@@ -96,7 +96,7 @@ impl<'a> Eye<'a> {
         rays: &mut u64,
     ) -> Walked {
         let mut going = Going::new((*ray, Rgb::splat(weight), density));
-        let mut vertices = Vec::with_capacity(8);
+        let mut vertices = Vec::with_capacity(2);
         let escape = self.walk().follow(&mut going, 2, None, &mut sampler, rays, &mut vertices);
         Walked { place, pixel, beside: Rgb::ZERO, sight: 1.0, going, vertices, escape, sampler, from: ray.o }
     }
@@ -346,7 +346,7 @@ impl<'a> Eye<'a> {
 /// on the first one is most of the noise that is left; what is found at the second one is for many pixels. Beyond it is one, as
 /// light paths take it to be.
 pub(super) fn emitter_samples(world: &World, depth: u32) -> u32 {
-    let most = [6, 3, 1][depth.min(2) as usize];
+    let most = [8, 2, 1][depth.min(2) as usize];
     (world.lights().len() as u32).clamp(1, most)
 }
 
