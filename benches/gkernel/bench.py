@@ -4,11 +4,12 @@ Equal time: on the floors of `floor.py` every method renders for the same second
 do not count); relMSE = mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over pixels and channels. The reference r is the mean of
 two long renders by `path` with seeds of their own; what they differ by tells its noise, which is taken out of each relMSE.
 
-Parts: what goes beyond the paper, each alone added to the method as printed, and each alone left out of the default.
+Parts: what goes beyond the paper, each alone added to the method as printed, and each alone left out of the default, at the same steps;
+beside it the processor time.
 
 Bias: on four small scenes the mean of a patch against `path`, in percent, with the standard error.
 """
-import argparse, csv, json, os, subprocess, sys, tempfile, time
+import argparse, csv, json, os, resource, subprocess, sys, tempfile, time
 import numpy as np
 import OpenEXR
 from floor import floor
@@ -20,7 +21,7 @@ METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "
 UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
 PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
          "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false"), "emitters": ("true", "false"),
-         "seen": ("true", "false"), "acceptance": ("true", "false"), "steady": ("true", "false"),
+         "seen": ("true", "false"), "shared": ("8", "1"), "edges": ("true", "false"), "acceptance": ("true", "false"), "steady": ("true", "false"),
          "kernel": ("smooth", "smooth")}  # the default's kernel is even: both columns are with it
 
 
@@ -72,16 +73,23 @@ def two_halves(scene, a):
     return (halves[0] + halves[1]) / 2, (halves[0] - halves[1]) ** 2 / 4
 
 
+PARTS_SIZE = (256, 192)
+
+
 def parts(a):
-    """Rows of: part, relMSE of the printed method with it, of the default without it; the two themselves first."""
+    """Rows of: part, relMSE and processor seconds of the printed method with it, of the default without it; the two themselves first."""
     with tempfile.TemporaryDirectory() as folder:
         scene, _ = floor(folder, "shut", a.seed, False)
-        reference, noise = two_halves(scene, a)
+        b = argparse.Namespace(**{**vars(a), "size": PARTS_SIZE})
+        reference, noise = two_halves(scene, b)
         def error(*options):
             arguments = [word for o in options for word in ("-O", o)]
-            picture, _ = render(scene, ["--integrator", "gkernel", "--time", f"{a.parts}s", *arguments], a.size, a.seed)
-            print(f"  parts, {' '.join(options) or 'all'}: {rel_mse(picture, reference, noise):.4g}", flush=True)
-            return rel_mse(picture, reference, noise)
+            spent = -resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            picture, _ = render(scene, ["--integrator", "gkernel", "--steps", str(a.parts), *arguments], b.size, a.seed)
+            spent += resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            found = rel_mse(picture, reference, noise), spent
+            print(f"  parts, {' '.join(options) or 'all'}: %.4g, %.1f s" % found, flush=True)
+            return found
         rows = [("none / all", error("printed=true"), error())]
         for part, (on, off) in PARTS.items():
             rows.append((part, error("printed=true", f"{part}={on}"), error(f"{part}={off}")))
@@ -191,7 +199,7 @@ def main():
     p.add_argument("--size", type=size, default=(512, 384))
     p.add_argument("--seed", type=int, default=1, help="of the floor and of the methods")
     p.add_argument("--bias", type=int, default=64, metavar="SPP", help="samples for the bias table; 0: none")
-    p.add_argument("--parts", type=float, default=20, metavar="SECONDS", help="of each row of the table of parts; 0: none")
+    p.add_argument("--parts", type=int, default=16, metavar="STEPS", help="of each row of the table of parts; 0: none")
     p.add_argument("--dry", action="store_true", help="write no results")
     p.add_argument("--figures", action="store_true", help="the paper's figures 1, 4 and 7 instead (3 minutes)")
     a = p.parse_args()
@@ -211,8 +219,9 @@ def main():
             f"doors {k}: h {c['h']:.2g}, {c['steps']} steps, {c['candidates_per_eye_vertex']:.1f} candidates, {c['requested_per_eye_vertex']:.1f} requested and "
             f"{c['unoccluded_per_eye_vertex']:.1f} unoccluded links per eye vertex, visibility {c['mean_visibility']:.2f}" for k, c in counts.items()) + "."]
     if partly:
-        lines += ["", f"Parts, relMSE after {a.parts:g} s, doors shut (few steps each, one seed: what differs by less than a third is noise):", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
-        lines += [f"| {name} | {'-' if with_it is None else f'{with_it:.3g}'} | {without:.3g} |" for name, with_it, without in partly]
+        told = lambda found: "-" if found is None else "%.3g (%.1f)" % found
+        lines += ["", f"Parts, relMSE after {a.parts} steps at {PARTS_SIZE[0]} × {PARTS_SIZE[1]}, doors shut, one seed (processor seconds, loading included):", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
+        lines += [f"| {name} | {told(with_it)} | {told(without)} |" for name, with_it, without in partly]
     if biased:
         lines += ["", "Bias of a patch's mean against `path`, in percent, with its standard error:", "", "| scene | method | bias | error |", "| --- | --- | --- | --- |"]
         lines += [f"| {s} | {m} | {b:+.2f} | {e:.2f} |" for s, m, b, e in biased]

@@ -182,6 +182,9 @@ fn the_unbiased_method_agrees_with_path() {
             assert!(z.abs() < 4.0, "{name}, {way:?}: {z}");
         }
     }
+    // Paths that are dropped make up for it by those that are kept.
+    let z = deviation(&grazing(), &[&few[..], &[("keep", "true"), ("quota", "50"), alone]].concat(), 24);
+    assert!(z.abs() < 4.0, "keep, quota: {z}");
     let z = deviation(&edge(), &[("normalise", "disc"), ("light-paths", "3000"), alone], 24);
     assert!(z < -4.0, "discs should lose light at the edge: {z}");
 }

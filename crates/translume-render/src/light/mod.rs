@@ -306,15 +306,19 @@ impl Lights {
         &self.by_power
     }
 
-    /// Chances of which `share` is by `weights`, one for each light, and the rest by power.
-    pub fn starts_by(&self, weights: &[f32], share: f32) -> Starts {
+    /// Chances of which the part `quota` is the same for all lights that shine; of the rest `share` is by `weights`, one for each light (or none at
+    /// all), and what remains by power.
+    pub fn starts_by(&self, weights: &[f32], share: f32, quota: f32) -> Starts {
         let sum: f64 = weights.iter().map(|w| f64::from(*w)).sum();
-        if sum <= 0.0 || !sum.is_finite() {
-            return self.by_power.clone();
-        }
-        let mix =
-            |(i, w): (usize, &f32)| (1.0 - share) * self.by_power.probability(i) + share * (f64::from(*w) / sum) as f32;
-        Starts(AliasTable::new(&weights.iter().enumerate().map(mix).collect::<Vec<_>>()))
+        let share = if sum > 0.0 && sum.is_finite() { share } else { 0.0 };
+        let power = |i| self.by_power.probability(i);
+        let shining = (0..self.lights.len()).filter(|i| power(*i) > 0.0).count() as f32;
+        let mix = |i: usize| {
+            let alike = if power(i) > 0.0 { quota / shining } else { 0.0 };
+            let learnt = if share > 0.0 { share * (f64::from(weights[i]) / sum) as f32 } else { 0.0 };
+            alike + (1.0 - quota) * ((1.0 - share) * power(i) + learnt)
+        };
+        Starts(AliasTable::new(&(0..self.lights.len()).map(mix).collect::<Vec<_>>()))
     }
 
     /// Densities of [`Lights::start`] for the begin `q` and the direction `d` of travel, as [`LightStart::pdf_begin`] and

@@ -6,6 +6,7 @@
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
 use super::Plan;
+use super::keep::Keep;
 use super::weight::{Landing, Way};
 use crate::light::{End, LightPoint, LightStart};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
@@ -16,6 +17,7 @@ use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 use translume_core::frame::Frame;
 use translume_core::morton;
+use translume_core::sampler::Sampler;
 use translume_trace::Ray;
 
 /// How footprints grow.
@@ -93,6 +95,8 @@ pub(crate) struct LightVertex {
     pub(crate) survival: f32,
     /// Chance with which what stands between let it pass straight.
     pub(crate) passed: f32,
+    /// Chance with which the path was kept.
+    pub(crate) kept: f32,
     /// Weights of merging farther up the path, see [`Weighing`].
     pub(crate) behind: f32,
     /// Of emitter sampling here, where the parent is a light.
@@ -168,7 +172,7 @@ impl Brief {
     pub(crate) fn new(v: &LightVertex) -> Self {
         let (way, area) = (v.way(), v.radius * v.radius);
         let cos = if way == Way::Merge { 1.0 } else { v.cos() };
-        let gain = luminance(v.throughput) / (area * cos);
+        let gain = luminance(v.throughput) / (area * cos * v.kept);
         let printed = 1.0 / (area * v.cos());
         Self { wo: v.hit.wo, gain, printed, at: v.landing(), back: v.back, behind: v.behind, direct: v.direct, way }
     }
@@ -238,27 +242,39 @@ impl LightPaths {
         all
     }
 
-    fn add(&mut self, request: &Request, path: u32, buffer: &mut Vec<Vertex>) {
+    /// What each path may bring, by `keep`; 0 of those that light nothing.
+    pub(crate) fn brought(request: &Request, keep: &Keep) -> Vec<f32> {
+        let of = |path| {
+            let mut buffer = Vec::new();
+            let found = Self::walk(request, path, &mut 0, &mut buffer);
+            found.map_or(0.0, |_| keep.brings(&buffer))
+        };
+        (0..request.count).into_par_iter().map(of).collect()
+    }
+
+    /// A path: its vertices are appended to `out`.
+    fn walk(request: &Request, path: u32, rays: &mut u64, out: &mut Vec<Vertex>) -> Option<(LightPath, PathSampler)> {
         // One path after the other of a low-discrepancy sequence, another sequence for each step.
         let mut sampler = match request.sobol {
             true => PathSampler::new(request.seed, STREAM | request.step, path.into()),
             false => PathSampler::new(request.seed, STREAM | request.step << 32 | u64::from(path), 0),
         };
+        let (world, starts) = (request.world, request.plan.starts);
+        let light = subpath::light_path(world, starts, request.limits, &mut sampler, rays, out)?;
+        Some((light, sampler))
+    }
+
+    fn add(&mut self, request: &Request, path: u32, buffer: &mut Vec<Vertex>) {
         buffer.clear();
-        let Some(light) = subpath::light_path(
-            request.world,
-            request.plan.starts,
-            request.limits,
-            &mut sampler,
-            &mut self.rays,
-            buffer,
-        ) else {
+        let Some((light, sampler)) = Self::walk(request, path, &mut self.rays, buffer) else { return };
+        let kept = request.plan.keep.map_or(1.0, |keep| keep.chance(keep.brings(buffer)));
+        if kept < 1.0 && sampler.branch(0x6b65_6570).next_1d() >= kept {
             return;
-        };
+        }
         self.starts.push(light.start);
         let base = self.vertices.len();
         for i in 0..buffer.len() {
-            let vertex = self.vertex(request, &light, buffer, base, i);
+            let vertex = LightVertex { kept, ..self.vertex(request, &light, buffer, base, i) };
             self.vertices.push(vertex);
         }
     }
@@ -319,6 +335,7 @@ impl LightPaths {
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
             passed: v.passed,
+            kept: 1.0,
             behind,
             direct,
             back,

@@ -239,7 +239,7 @@ impl<'a> Linker<'a> {
         let weight = own / (own + camera + light);
         let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let area = PI * v.radius * v.radius * self.lights.count as f32 * self.kernel_mean();
-        let value = v.throughput * here.f * y.throughput * (weight * kernel * link.weight / area);
+        let value = v.throughput * here.f * y.throughput * (weight * kernel * link.weight / (area * v.kept));
         Score { value, visible: true, rays: 0 }
     }
 
@@ -334,7 +334,7 @@ impl<'a> Linker<'a> {
             * visible
             * here.f
             * y.throughput
-            * (cos_y * kernel * weight * link.weight / (v.survival * paths));
+            * (cos_y * kernel * weight * link.weight / (v.survival * v.kept * paths));
         score
     }
 

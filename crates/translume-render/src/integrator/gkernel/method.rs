@@ -34,6 +34,8 @@ pub(crate) struct Method {
     pub(crate) emitters: bool,
     /// That sampling knows which lights a pilot found to be seen from where.
     pub(crate) seen: bool,
+    /// Light paths are kept by what they may bring.
+    pub(crate) keep: bool,
     /// Pixels at the edges of lamps get more rays.
     pub(crate) edges: bool,
     /// Weights know how steady those samples are.
@@ -45,7 +47,7 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 20] = [
+pub(crate) const OPTIONS: [Choice; 22] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: an eighth as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
@@ -81,6 +83,12 @@ pub(crate) const OPTIONS: [Choice; 20] = [
         default: "auto",
         about: "that sampling knows which lights are seen from where, as a pilot found",
     },
+    Choice {
+        name: "quota",
+        default: "0",
+        about: "percent of the light paths that all lamps share alike, whatever they bring",
+    },
+    Choice { name: "keep", default: "false", about: "keep light paths by what they may bring to the picture" },
     Choice { name: "edges", default: "auto", about: "more rays through pixels at the edges of lamps" },
     Choice { name: "steady", default: "auto", about: "weights know how little samples of lights differ" },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
@@ -126,6 +134,7 @@ impl Method {
             acceptance: auto("acceptance")?,
             emitters: auto("emitters")?,
             seen: auto("seen")?,
+            keep: options.switch("keep")?,
             edges: auto("edges")?,
             steady: auto("steady")?,
             sobol: auto("sobol")?,

@@ -3,7 +3,7 @@
 //!
 //! Source: Bekaert, Slusallek, Cools, Havran, Seidel: A custom designed density estimator for light transport,
 //! MPI-I-2003-4-004. One pass of the driver is one step (§5): light paths are traced once, then the picture's tiles block by
-//! block: camera paths (`eye`), pairs of a camera vertex in a light vertex's footprint (`link`, `points`), trial
+//! block: camera paths (`pixels`, `eye`), pairs of a camera vertex in a light vertex's footprint (`link`, `points`), trial
 //! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
 //! camera paths, one a step or more.
 //!
@@ -12,13 +12,15 @@
 //!
 //! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
-//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; merges are weighed by their number (see `weight`).
+//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; merges are weighed by their number (see
+//! `weight`); neighbouring camera paths share what they find beyond their first surface (see `share`).
 //!
 //! Limits: light that mirrors and glass focus is found by merging photons, not by connecting light paths to the camera; no
 //! participating media.
 
 mod chance;
 mod eye;
+mod keep;
 mod light;
 mod link;
 mod method;
@@ -36,6 +38,7 @@ use crate::subpath::Limits;
 use crate::world::World;
 use crate::{Result, Rgb};
 use eye::EyeVertex;
+use keep::Keep;
 use light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Request};
 use link::{Candidates, Linker};
 use method::Method;
@@ -63,6 +66,8 @@ pub struct GKernel {
     sharers: usize,
     /// Unoccluded links that a camera path should get, or each of its vertices: the paper's M.
     links: f32,
+    /// Part of the light paths that lights share alike.
+    quota: f32,
     method: Method,
     pilot: OnceLock<Pilot>,
     /// Of the view that is being taken.
@@ -111,6 +116,8 @@ struct Plan<'a> {
     starts: &'a Starts,
     /// What is known of the lights that camera vertices see, for sampling them.
     seen: Option<&'a Seen>,
+    /// Which light paths are kept.
+    keep: Option<&'a Keep>,
 }
 
 /// The light paths of a step.
@@ -173,6 +180,7 @@ impl GKernel {
             n => n.max(1),
         };
         let sharers = options.number("sharers", 1..=256)? as usize;
+        let quota = options.number("quota", 0..=100)? as f32 / 100.0;
         let links = match (options.number("links", 0..=1000)?, method.target) {
             (0, true) => LINKS,
             (0, false) => PRINTED_LINKS,
@@ -185,6 +193,7 @@ impl GKernel {
             shared,
             sharers,
             links,
+            quota,
             method,
             pilot: OnceLock::new(),
             outlook: Mutex::default(),
@@ -234,7 +243,7 @@ impl GKernel {
             plan,
             seed: shot.seed,
             step,
-            count: self.light_paths(shot),
+            count: (self.light_paths(shot) as f32 / plan.keep.map_or(1.0, |keep| keep.share)) as u32,
             sobol: self.method.sobol,
         }
     }

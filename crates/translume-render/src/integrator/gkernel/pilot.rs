@@ -6,6 +6,7 @@
 //! with its power so that none is forgotten.
 
 use super::eye::EyeVertex;
+use super::keep::Keep;
 use super::light::{Brief, LightPaths, Request};
 use super::link::{self, Candidates};
 use super::weight::Weighing;
@@ -32,6 +33,8 @@ pub(crate) struct Pilot {
     pub(crate) starts: Starts,
     /// Which lights are seen from where.
     pub(crate) seen: Option<Seen>,
+    /// Which light paths are kept.
+    pub(crate) keep: Option<Keep>,
 }
 
 /// Share of trial links that are unoccluded in a view: per tile, and of vertices that choose alone, beyond the first, per depth.
@@ -78,7 +81,7 @@ impl Outlook {
 
 impl Pilot {
     pub(super) fn plan(&self, weighing: Weighing) -> Plan<'_> {
-        Plan { weighing, starts: &self.starts, seen: self.seen.as_ref() }
+        Plan { weighing, starts: &self.starts, seen: self.seen.as_ref(), keep: self.keep.as_ref() }
     }
 }
 
@@ -86,8 +89,12 @@ impl GKernel {
     pub(super) fn fly_pilot(&self, shots: &[&Shot]) -> Pilot {
         let shot = shots[0];
         let lights = shot.world.lights();
-        let first =
-            Plan { weighing: self.weighed(shot, [FIRST_H; 2], (1.0, 1.0)), starts: lights.by_power(), seen: None };
+        let first = Plan {
+            weighing: self.weighed(shot, [FIRST_H; 2], (1.0, 1.0)),
+            starts: lights.by_power(),
+            seen: None,
+            keep: None,
+        };
         let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, first));
         let flock = views.reduce(Flock::join).unwrap_or_default();
         let mut lamps = flock.lamps(shot, None, 0);
@@ -96,12 +103,11 @@ impl GKernel {
             lamps = flock.lamps(shot, seen.as_ref(), 1);
         }
         let shine = flock.shine(lights.len(), &lamps);
-        let starts = match self.method.importance {
-            true => lights.starts_by(&shine.brought, LEARNT),
-            false => lights.by_power().clone(),
-        };
+        let learnt = if self.method.importance { &shine.brought[..] } else { &[] };
+        let starts = lights.starts_by(learnt, LEARNT, self.quota);
         let steadiness = if self.method.steady { shine.steadiness } else { 1.0 };
-        let mut pilot = Pilot { h: [FIRST_H; 2], scale: 1.0, steadiness, starts, seen };
+        let mut pilot = Pilot { h: [FIRST_H; 2], scale: 1.0, steadiness, starts, seen, keep: None };
+        pilot.keep = if self.method.keep { self.keep(shot, &flock, &pilot) } else { None };
         (pilot.h, pilot.scale) = self.calibrate(shot, &flock, &pilot);
         pilot
     }
@@ -128,16 +134,29 @@ impl GKernel {
         flock
     }
 
+    /// Finds out which light paths are to be kept.
+    fn keep(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> Option<Keep> {
+        let mut keep = Keep::learn(&flock.eyes, shot.world.bounding_sphere())?;
+        let plan = pilot.plan(self.weighed(shot, pilot.h, (1.0, pilot.steadiness)));
+        keep.compare_with(&LightPaths::brought(
+            &few(self.request(shot, STEP, self.bandwidth(shot, 0, pilot.h), plan)),
+            &keep,
+        ));
+        Some(keep)
+    }
+
     /// Finds h and c.
     fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> ([f32; 2], f32) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let request =
-            few(self.request(shot, STEP, bandwidth(h), pilot.plan(self.weighed(shot, h, (1.0, pilot.steadiness)))));
+        let plan = pilot.plan(self.weighed(shot, h, (1.0, pilot.steadiness)));
+        let request = self.request(shot, STEP, bandwidth(h), plan);
+        let whole = request.count as f32;
+        let request = few(request);
         let mut lights = LightPaths::trace(&request);
         // Of a step's.
-        let part = request.count as f32 / self.light_paths(shot) as f32;
+        let part = request.count as f32 / whole;
         let wanted = CANDIDATES * part;
         for _ in 0..8 {
             let [first, others] = link::count(&lights, &tree).map(|n| n as f32 / flock.eyes.len().max(1) as f32);

@@ -17,8 +17,8 @@
 //! vertex (`behind`).
 //!
 //! Limit: that merges at a vertex share the camera's path to it (Grittmann et al. 2021) is not known to the weights. Their correction is made of
-//! products along the whole path, which sums along two walks cannot hold; it would only concern photons behind mirrors, since
-//! a vertex makes about one link.
+//! products along the whole path, which sums along two walks cannot hold; it would mostly concern photons behind mirrors, since
+//! a camera path has about three links. What paths of a group have in common is known: see `share`.
 
 use super::light::{LEAST_COS, Reach};
 
