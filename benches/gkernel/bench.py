@@ -21,8 +21,8 @@ METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "
 UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
 PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
          "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false"), "emitters": ("true", "false"),
-         "seen": ("true", "false"), "shared": ("8", "1"), "edges": ("true", "false"), "acceptance": ("true", "false"), "steady": ("true", "false"),
-         "kernel": ("smooth", "smooth")}  # the default's kernel is even: both columns are with it
+         "seen": ("true", "false"), "shared": ("8", "1"), "edges": ("true", "false"), "acceptance": ("true", "false"),
+         "steady": ("true", "true"), "keep": ("true", "true"), "kernel": ("smooth", "smooth")}  # the last three are not in the default: both columns are with them
 
 
 def read(path):

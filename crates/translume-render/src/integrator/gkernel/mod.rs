@@ -91,7 +91,8 @@ const SHARED: u32 = 8;
 const MOST_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
-const FEWEST_PATHS: u32 = 10_000;
+const FEWEST_PATHS: u32 = 5_000;
+const STEADY_PATHS: u32 = 10_000;
 const MOST_PATHS: u32 = 1_000_000;
 
 /// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it is larger, so
@@ -229,7 +230,12 @@ impl GKernel {
 
     fn light_paths(&self, shot: &Shot) -> u32 {
         let [w, h] = shot.size();
-        if self.light_paths > 0 { self.light_paths } else { (w * h / 8).clamp(FEWEST_PATHS, MOST_PATHS) }
+        if self.light_paths > 0 {
+            return self.light_paths;
+        }
+        // In a small picture as many as make steady photons, but not so many that a step is mostly light paths.
+        let steady = (w * h / 3).clamp(FEWEST_PATHS, STEADY_PATHS);
+        (w * h / 8).clamp(steady, MOST_PATHS)
     }
 
     fn request<'a>(&self, shot: &Shot<'a>, step: u64, bandwidth: Bandwidth, plan: Plan<'a>) -> Request<'a> {
