@@ -165,7 +165,7 @@ pub struct Walk<'a> {
 /// A walk that is under way.
 pub struct Going {
     /// Factor so far.
-    pub throughput: Rgb,
+    throughput: Rgb,
     segments: u32,
     stage: Stage,
     ray: Ray,
@@ -217,6 +217,11 @@ impl Going {
             passed: 1.0,
             start_back: 0.0,
         }
+    }
+
+    /// Goes on with this factor as if it had begun here: roulette forgets what was lost before.
+    pub fn begin_anew(&mut self, throughput: Rgb) {
+        (self.throughput, self.loss, self.eta) = (throughput, Rgb::ONE, 1.0);
     }
 
     /// That goes nowhere.

@@ -195,7 +195,8 @@ impl<'a> Eye<'a> {
                 block.tails.push(Rgb::ZERO);
                 block.shares.extend(shares.into_iter().map(|(path, factor)| Share { tail: number, path, factor }));
                 factor = vertices[1].throughput;
-                going.throughput = seen[1].throughput;
+                // A path that is dark for its own pixel may be bright for others.
+                going.begin_anew(seen[1].throughput);
                 vertices.copy_from_slice(&*seen);
             }
         }
