@@ -20,6 +20,9 @@ const EDGE: f32 = 0.1;
 /// Side of the squares that groups are made in, over that of a group.
 const SPREAD: u32 = 2;
 
+/// Tasks that the groups of a block are made of.
+const TASKS: usize = 128;
+
 impl GKernel {
     fn eye<'a>(&self, shot: &Shot<'a>, plan: Plan<'a>) -> Eye<'a> {
         let limits = Limits { segments: self.settings.most_segments(), rr_depth: self.settings.rr_depth };
@@ -64,25 +67,17 @@ impl GKernel {
             walks.into_iter().map(|walked| vec![walked]).collect()
         };
         let per_task = groups.len().div_ceil(TASKS).max(1);
-        let mut groups = groups.into_iter();
-        let tasks: Vec<Vec<_>> =
-            std::iter::from_fn(|| Some(groups.by_ref().take(per_task).collect()).filter(|t: &Vec<_>| !t.is_empty()))
-                .collect();
-        let take_up = |task: Vec<Vec<Walked>>| {
-            let mut block = Block::default();
-            task.into_iter().for_each(|group| eye.take_up(group, self.sharers, &mut block));
+        let take_up = |mut block: Block<'a>, group| {
+            eye.take_up(group, self.sharers, &mut block);
             block
         };
-        let mut blocks: Vec<Block> = tasks.into_par_iter().map(take_up).collect();
+        let mut blocks: Vec<Block> = groups.into_par_iter().fold_chunks(per_task, Block::default, take_up).collect();
         if let Some(block) = blocks.first_mut() {
             block.rays += rays.iter().sum::<u64>();
         }
         blocks
     }
 }
-
-/// Tasks that the groups of a block are made of.
-const TASKS: usize = 128;
 
 fn begin(shot: &Shot, eye: &Eye, (number, tile): (u32, &Tile), (i, sample): (usize, u64), rays: &mut u64) -> Walked {
     let (sampler, ray, weight) = shot.camera_path(tile, i, sample);
