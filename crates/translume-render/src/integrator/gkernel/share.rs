@@ -105,26 +105,19 @@ pub(crate) fn onward(
     ) else {
         return Onward::Alone;
     };
-    // From those on the same side that see y.
+    let on = side_of(&group[0]);
     let mut step = |i: usize| {
-        let receiver = &group[i];
-        let step = Step::new(world, &receiver.vertex.hit, &receiver.shading, &y.hit)?;
-        let mut clear = || {
-            *rays += 1;
-            world.is_clear(&receiver.vertex.hit.point.segment_between(&y.hit.point))
-        };
-        (side_of(receiver) == side_of(&group[0]) && (i == own || clear())).then_some(step)
+        let from = (&group[i].vertex.hit, &group[i].shading);
+        if i == own {
+            Step::new(world, from.0, from.1, &y.hit)
+        } else {
+            Step::seen(world, from, (&y.hit, &shading), on, rays)
+        }
     };
     if own >= carriers {
         let Some(bound) = step(own).map(|s| s.pdf) else { return Onward::Alone };
-        let mut sum = 0.0;
-        for i in 0..carriers {
-            sum += step(i).map_or(0.0, |s| s.pdf);
-            if bound <= MOST_OWN * sum {
-                return Onward::Left;
-            }
-        }
-        return Onward::Alone;
+        let covered = is_covered(bound, (0..carriers).filter_map(step));
+        return if covered { Onward::Left } else { Onward::Alone };
     }
     let mut sum = 0.0;
     let mut shares = Vec::with_capacity(group.len());
@@ -181,24 +174,20 @@ impl Group {
             return Some((first, self.carriers));
         }
         let bound = Step::new(world, &y.hit, &y.shading, hit)?.pdf;
-        let mut sum = 0.0;
-        let mut number = Some(self.first);
-        while let Some(carrier) = number.map(|i| &eyes[i as usize]) {
-            if side(hit, &seen, carrier.hit.point.p) == own_side
-                && let Some(step) = Step::new(world, &carrier.hit, &carrier.shading, hit)
-            {
-                *rays += 1;
-                if world.is_clear(&carrier.hit.point.segment_between(&hit.point)) {
-                    sum += step.pdf;
-                }
-            }
-            if bound <= MOST_OWN * sum {
-                return Some((first, self.carriers));
-            }
-            number = carrier.group.and_then(|g| g.next);
-        }
-        None
+        let next = |carrier: &&EyeVertex<'a>| carrier.group.and_then(|g| g.next).map(|i| &eyes[i as usize]);
+        let steps = std::iter::successors(Some(first), next)
+            .filter_map(|c| Step::seen(world, (&c.hit, &c.shading), (hit, &seen), own_side, rays));
+        is_covered(bound, steps).then_some((first, self.carriers))
     }
+}
+
+/// Whether a path that finds a place with density `own` leaves it to the carriers that take these steps there.
+fn is_covered(own: f32, mut carriers: impl Iterator<Item = Step>) -> bool {
+    let mut sum = 0.0;
+    carriers.any(|step| {
+        sum += step.pdf;
+        own <= MOST_OWN * sum
+    })
 }
 
 /// The sides of the surface and of its shading frame that `from` is on.
@@ -215,6 +204,22 @@ struct Step {
 }
 
 impl Step {
+    /// From where the surface `y` is seen `on` these sides, with nothing in between.
+    fn seen(
+        world: &World,
+        (x, shading): (&SurfaceHit, &Shading),
+        (y, y_shading): (&SurfaceHit, &Shading),
+        on: [bool; 2],
+        rays: &mut u64,
+    ) -> Option<Self> {
+        if side(y, y_shading, x.point.p) != on {
+            return None;
+        }
+        let step = Self::new(world, x, shading, y)?;
+        *rays += 1;
+        world.is_clear(&x.point.segment_between(&y.point)).then_some(step)
+    }
+
     fn new(world: &World, x: &SurfaceHit, shading: &Shading, y: &SurfaceHit) -> Option<Self> {
         let way = y.point.p - x.point.p;
         let d2 = way.length_squared();
