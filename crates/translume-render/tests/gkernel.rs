@@ -185,6 +185,11 @@ fn the_unbiased_method_agrees_with_path() {
     // Paths that are dropped make up for it by those that are kept.
     let z = deviation(&grazing(), &[&few[..], &[("keep", "true"), ("quota", "50"), alone]].concat(), 24);
     assert!(z.abs() < 4.0, "keep, quota: {z}");
+    // Weights that count merges of one camera path for less still sum to one.
+    for (name, scene) in [("grazing", grazing()), ("glossy", glossy()), ("corner", corner())] {
+        let z = deviation(&scene, &[&few[..], &[("correlation", "256"), alone]].concat(), 24);
+        assert!(z.abs() < 4.0, "{name}, correlation: {z}");
+    }
     let z = deviation(&edge(), &[("normalise", "disc"), ("light-paths", "3000"), alone], 24);
     assert!(z < -4.0, "discs should lose light at the edge: {z}");
 }
@@ -242,6 +247,30 @@ fn edges_of_lamps_are_smooth_soon() {
     let of = |edges: &str| (1..=16).map(|seed| rms(edges.to_owned(), seed)).sum::<f64>().sqrt();
     let (with, without) = (of("true"), of("false"));
     assert!(with < 0.4 * without, "{with} and {without}");
+}
+
+/// Weights that look at whole paths are those of the walks' sums where paths that are far apart count as near: in that limit nothing is in
+/// common. So every vertex has the densities and the counts that it should.
+#[test]
+fn whole_paths_have_the_weights_of_their_walks() {
+    let everywhere = (1_u64 << 40).to_string();
+    for (name, scene) in
+        [("room", room()), ("corner", corner()), ("glossy", glossy()), ("caustic", glass_ball(0.1)), ("sheet", sheet())]
+    {
+        for emitters in ["true", "false"] {
+            let of = |correlation: &str| {
+                let options = [("emitters", emitters), ("correlation", correlation), ("light-paths", "3000")];
+                estimates(&kernel(&scene, &options, 4)).into_iter().map(|e| e.mean).collect::<Vec<f64>>()
+            };
+            let (walks, whole, near) = (of("0"), of(&everywhere), of("64"));
+            let largest = walks.iter().copied().fold(0.0, f64::max);
+            let off = |other: &[f64]| walks.iter().zip(other).map(|(a, b)| (a - b).abs() / largest).fold(0.0, f64::max);
+            assert!(off(&whole) < 1e-5, "{name}, emitters={emitters}: {}", off(&whole));
+            // Where light goes several ways round.
+            let differs = ["corner", "sheet"].contains(&name);
+            assert!(!differs || off(&near) > 0.01, "{name}, emitters={emitters}: {} with 64", off(&near));
+        }
+    }
 }
 
 /// Photons that glass focuses are merged: the picture that bdpt makes, nearer to it than by paths that must meet the lamp.

@@ -2,12 +2,13 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
+use super::correlation::{Ancestor, Node, Technique, Whole};
 use super::light::Reach;
 use super::share::{self, Group, Onward, Receiver, Share};
-use super::weight::{Way, Weighing};
+use super::weight::{Landing, Way, Weighing};
 use super::{Block, Plan};
-use crate::light::{Factors, LightPoint};
-use crate::subpath::{Density, Escape, Going, Limits, Vertex, Walk, scattering};
+use crate::light::{End, Factors, LightPoint};
+use crate::subpath::{Density, Escape, Going, Limits, NONE, Vertex, Walk, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
 use glam::Vec3;
@@ -43,6 +44,8 @@ pub(crate) struct EyeVertex<'a> {
     pub(crate) way: Way,
     /// See [`super::weight`].
     pub(crate) behind: f32,
+    /// Number of the one before the vertex before among the [`Ancestor`]s, or [`NONE`].
+    pub(crate) above: u32,
 }
 
 impl EyeVertex<'_> {
@@ -54,7 +57,29 @@ impl EyeVertex<'_> {
         let at = weighing.landing(back, Reach::Distance(self.distance));
         weighing.times(onto / self.pdf, weighing.add(self.way, at, back / self.before, self.behind))
     }
+
+    /// Appends this vertex, and those nearer to the camera, to a path that is merged `made` times here; the rest as of [`EyeVertex::nearer`].
+    pub(crate) fn ascend(
+        &self,
+        weighing: &Weighing,
+        (onto, made, pdf_to_camera): (f32, f32, f32),
+        ancestors: &[Ancestor],
+        whole: &mut Whole,
+    ) {
+        whole.nodes.push(Node { light: onto, camera: self.pdf, made, delta: false });
+        if self.depth > 0 {
+            let light = pdf_to_camera * self.back;
+            let made = weighing.made(self.way, weighing.landing(light, Reach::Distance(self.distance)));
+            whole.nodes.push(Node { light, camera: self.before, made, delta: self.way == Way::Closed });
+            whole.ascend(ancestors, self.above);
+        }
+    }
 }
+
+/// Ancestors, and the number of the one that is meant.
+type Above<'a> = (&'a [Ancestor], u32);
+
+const NOTHING_ABOVE: Above = (&[], NONE);
 
 /// A traced path.
 pub(crate) struct Eye<'a> {
@@ -104,7 +129,7 @@ impl<'a> Eye<'a> {
     /// What the first surface that a camera path meets emits.
     pub(super) fn sight(&self, walked: &Walked) -> Rgb {
         let first = walked.vertices.first().filter(|v| v.segments == 1);
-        first.map_or(Rgb::ZERO, |v| self.emitted(&walked.vertices, v, 0, 0.0))
+        first.map_or(Rgb::ZERO, |v| self.emitted(&walked.vertices, v, 0, 0.0, NOTHING_ABOVE))
     }
 
     /// The same of a ray, not weighted.
@@ -181,7 +206,7 @@ impl<'a> Eye<'a> {
         let mut factor = Rgb::ONE;
         if !matches!(onward, Onward::Alone) {
             // What the second vertex emits is for this path alone.
-            block.radiance[path as usize] += self.emitted(vertices, &vertices[1], 1, 0.0);
+            block.radiance[path as usize] += self.emitted(vertices, &vertices[1], 1, 0.0, NOTHING_ABOVE);
         }
         match onward {
             Onward::Alone => (),
@@ -205,13 +230,19 @@ impl<'a> Eye<'a> {
         }
         let mut emitters = sampler.branch(0x656d_6974);
         let (mut behind, mut depths) = (Vec::with_capacity(vertices.len()), Vec::with_capacity(vertices.len()));
+        // Per vertex, the ancestor that is its parent.
+        let mut parents = Vec::new();
         for (i, v) in own.iter().chain(vertices.iter().skip(1)).enumerate() {
             behind.push(self.behind(vertices, &behind, v.parent));
+            let above = parents.get(v.parent as usize).copied().unwrap_or(NONE);
+            if self.plan.weighing.alike > 0.0 {
+                parents.push(self.ancestor(vertices, v, above, &mut block.ancestors));
+            }
             depths.push(depths.get(v.parent as usize).map_or(0, |d| d + 1));
             let tail = tail.filter(|_| i > 0);
             let mut found = Rgb::ZERO;
             if i != 1 || tail.is_none() {
-                found += self.emitted(vertices, v, depths[i], behind[i]);
+                found += self.emitted(vertices, v, depths[i], behind[i], (&block.ancestors, above));
             }
             let shading = self.world.shading(&v.hit);
             if shading.flags().has_smooth() && v.segments < self.limits.segments {
@@ -232,9 +263,10 @@ impl<'a> Eye<'a> {
                     distance: parent.map_or(0.0, |p| between(p, &v.hit)),
                     way: Way::of(parent.is_none_or(|p| p.delta), false),
                     behind: behind[i],
+                    above,
                 };
                 if self.plan.weighing.emitters > 0.0 {
-                    found += self.lit(&y, &mut emitters, &mut block.rays);
+                    found += self.lit(&y, &mut emitters, &block.ancestors, &mut block.rays);
                 }
                 block.eyes.push(y);
             }
@@ -242,7 +274,9 @@ impl<'a> Eye<'a> {
         }
         if let Some(escape) = escape {
             let depth = depths.get(escape.parent as usize).copied().unwrap_or(0);
-            let found = self.escaped(vertices, escape, depth, self.behind(vertices, &behind, escape.parent));
+            let above = parents.get(escape.parent as usize).copied().unwrap_or(NONE);
+            let behind = self.behind(vertices, &behind, escape.parent);
+            let found = self.escaped(vertices, escape, depth, behind, (&block.ancestors, above));
             *block.light_of(path, tail) += found;
         }
     }
@@ -256,12 +290,24 @@ impl<'a> Eye<'a> {
         self.plan.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
     }
 
+    /// Makes the vertex before `v` an ancestor; its number. `above` is that of the one before.
+    fn ancestor(&self, path: &[Vertex], v: &Vertex, above: u32, all: &mut Vec<Ancestor>) -> u32 {
+        let Some(parent) = path.get(v.parent as usize) else { return NONE };
+        let at = self.plan.weighing.landing(parent.pdf_back, Reach::Distance(between(parent, &v.hit)));
+        let made = self.plan.weighing.made(Way::of(parent.delta, v.delta), at);
+        all.push(Ancestor {
+            node: Node { light: parent.pdf_back, camera: parent.pdf, made, delta: parent.delta },
+            above,
+        });
+        all.len() as u32 - 1
+    }
+
     /// Emitter sampling at `y`.
-    fn lit(&self, y: &EyeVertex, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
+    fn lit(&self, y: &EyeVertex, sampler: &mut PathSampler, ancestors: &[Ancestor], rays: &mut u64) -> Rgb {
         let (p, n) = (y.hit.point.p, self.world.receiving_normal(&y.hit, &y.shading));
         let seen = self.plan.seen.map(|s| s.from(p, n));
         let samples = emitter_samples(self.world, y.depth);
-        (0..samples).map(|_| self.lit_once(y, (n, seen), samples as f32, sampler, rays)).sum()
+        (0..samples).map(|_| self.lit_once(y, (n, seen), samples as f32, sampler, ancestors, rays)).sum()
     }
 
     /// One of `samples` of the light that falls on `y`.
@@ -271,6 +317,7 @@ impl<'a> Eye<'a> {
         (n, seen): (Vec3, Option<Factors>),
         samples: f32,
         sampler: &mut PathSampler,
+        ancestors: &[Ancestor],
         rays: &mut u64,
     ) -> Rgb {
         let (world, lights) = (self.world, self.world.lights());
@@ -289,39 +336,66 @@ impl<'a> Eye<'a> {
         let point = sample.point(chosen.0);
         let distance = (point.p - p).length();
         let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
-        let own = self.plan.weighing.emitters * samples * per_point(sample.pdf_w);
-        let met = if sample.delta { 0.0 } else { self.plan.weighing.times(per_point(here.pdf_to_light) / own, 1.0) };
+        let weighing = &self.plan.weighing;
+        let own = weighing.emitters * samples * per_point(sample.pdf_w);
+        let met = if sample.delta { 0.0 } else { per_point(here.pdf_to_light) };
         let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let at = self.plan.weighing.landing(onto_y, Reach::from_light(&point, next, distance));
-        let merged = self.plan.weighing.own(Way::Link, at) + y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
-        let others = met + self.plan.weighing.times(begin / own, merged);
+        let at = weighing.landing(onto_y, Reach::from_light(&point, next, distance));
+        let weight = if weighing.alike > 0.0 {
+            let extended = matches!(sample.end, End::Surface(_));
+            let mut whole = Whole::from_light(begin, met, extended, own);
+            let joint = (onto_y, weighing.made(Way::Link, at), here.pdf_to_camera);
+            y.ascend(weighing, joint, ancestors, &mut whole);
+            whole.weight(Technique::Sampled, weighing.alike)
+        } else {
+            let merged = weighing.own(Way::Link, at) + y.nearer(weighing, onto_y, here.pdf_to_camera);
+            weight(weighing.times(met / own, 1.0) + weighing.times(begin / own, merged))
+        };
         let cos = y.hit.n().dot(sample.wi).abs();
-        visible * sample.radiance * here.f * y.throughput * (cos * weight(others) / (samples * sample.pdf_w))
+        visible * sample.radiance * here.f * y.throughput * (cos * weight / (samples * sample.pdf_w))
     }
 
-    fn emitted(&self, path: &[Vertex], v: &Vertex, depth: u32, behind: f32) -> Rgb {
+    fn emitted(&self, path: &[Vertex], v: &Vertex, depth: u32, behind: f32, above: Above) -> Rgb {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
         let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
-        let inner = self.plan.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
         let direct = match parent.delta {
             false if self.plan.weighing.emitters > 0.0 => {
                 let samples = emitter_samples(self.world, depth - 1) as f32;
                 let shading = self.world.shading(&parent.hit);
-                samples * self.world.pdf_direct(&parent.hit, &shading, self.plan.seen, &point, -v.hit.wo) / v.pdf
+                samples * self.world.pdf_direct(&parent.hit, &shading, self.plan.seen, &point, -v.hit.wo)
             }
             _ => 0.0,
         };
-        v.throughput
-            * radiance
-            * weight(self.plan.weighing.times(begin / v.pdf, inner) + self.plan.weighing.direct(direct))
+        v.throughput * radiance * self.met((begin, v.pdf, direct), true, (parent, back, at), (behind, above))
     }
 
-    fn escaped(&self, path: &[Vertex], escape: &Escape, depth: u32, behind: f32) -> Rgb {
+    /// Weight of a camera's walk that meets a light: densities of its point by light paths, by this walk and by samples of
+    /// lights; whether it is one of an extended light; the vertex before and the density with which light's walk finds it.
+    fn met(
+        &self,
+        (begin, own, direct): (f32, f32, f32),
+        extended: bool,
+        (parent, back, at): (&Vertex, f32, Landing),
+        (behind, above): (f32, Above),
+    ) -> f32 {
+        let (weighing, way) = (&self.plan.weighing, Way::of(parent.delta, false));
+        if weighing.alike == 0.0 {
+            let inner = weighing.add(way, at, back / parent.pdf, behind);
+            return weight(weighing.times(begin / own, inner) + weighing.direct(direct / own));
+        }
+        let mut whole = Whole::from_light(begin, own, extended, weighing.emitters * direct);
+        let made = weighing.made(way, at);
+        whole.nodes.push(Node { light: back, camera: parent.pdf, made, delta: parent.delta });
+        whole.ascend(above.0, above.1);
+        whole.weight(Technique::Met, weighing.alike)
+    }
+
+    fn escaped(&self, path: &[Vertex], escape: &Escape, depth: u32, behind: f32, above: Above) -> Rgb {
         if escape.segments == 1 && self.hide_lights {
             return Rgb::ZERO;
         }
@@ -333,11 +407,8 @@ impl<'a> Eye<'a> {
             let (begin, next) = lights.pdf_start(self.plan.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
             let at = self.plan.weighing.landing(back, Reach::Parallel(next));
-            let inner = self.plan.weighing.add(Way::of(parent.delta, false), at, back / parent.pdf, behind);
-            let direct =
-                if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w / escape.pdf_w };
-            far.radiance
-                * weight(self.plan.weighing.times(begin / escape.pdf_w, inner) + self.plan.weighing.direct(direct))
+            let direct = if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w };
+            far.radiance * self.met((begin, escape.pdf_w, direct), false, (parent, back, at), (behind, above))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }

@@ -6,6 +6,7 @@
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
 use super::Plan;
+use super::correlation::Node;
 use super::keep::Keep;
 use super::weight::{Landing, Way};
 use crate::light::{End, LightPoint, LightStart};
@@ -194,6 +195,9 @@ pub(crate) struct LightPaths {
     pub(crate) count: u32,
     pub(crate) starts: Vec<LightStart>,
     pub(crate) vertices: Vec<LightVertex>,
+    /// Where weights look at whole paths: all vertices, and densities of the begins by walks from the camera.
+    pub(crate) nodes: Vec<Node>,
+    pub(crate) start_backs: Vec<f32>,
     pub(crate) rays: u64,
 }
 
@@ -237,6 +241,8 @@ impl LightPaths {
                 let first = if v.first() { starts } else { vertices };
                 LightVertex { parent: v.parent + first, ..v }
             }));
+            all.nodes.extend(chunk.nodes);
+            all.start_backs.extend(chunk.start_backs);
             all.rays += chunk.rays;
         }
         all
@@ -276,6 +282,14 @@ impl LightPaths {
         for i in 0..buffer.len() {
             let vertex = LightVertex { kept, ..self.vertex(request, &light, buffer, base, i) };
             self.vertices.push(vertex);
+        }
+        if request.plan.weighing.alike > 0.0 {
+            self.start_backs.push(light.pdf_back);
+            for (v, vertex) in buffer.iter().zip(&self.vertices[base..]) {
+                let way = Way::of(v.delta, buffer.get(v.parent as usize).is_some_and(|p| p.delta));
+                let made = request.plan.weighing.made(way, vertex.landing());
+                self.nodes.push(Node { light: v.pdf, camera: v.pdf_back, made, delta: v.delta });
+            }
         }
     }
 

@@ -10,6 +10,7 @@
 //! [`Linker::share`].
 
 use super::Plan;
+use super::correlation::{Ancestor, Node, Technique, Whole};
 use super::eye::{EyeVertex, emitter_samples};
 use super::light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Reach};
 use super::method::Normalise;
@@ -201,8 +202,8 @@ const MARGIN: f32 = 1.3;
 const WIDEST: f32 = 4.0;
 
 impl<'a> Linker<'a> {
-    /// Scores of `links`, in their order.
-    pub(crate) fn score(&self, links: &[Link], eyes: &[EyeVertex]) -> Vec<Score> {
+    /// Scores of `links`, in their order; `ancestors` are those of the camera vertices.
+    pub(crate) fn score(&self, links: &[Link], eyes: &[EyeVertex], ancestors: &[Ancestor]) -> Vec<Score> {
         links
             .par_chunks(256)
             .flat_map_iter(|chunk| {
@@ -211,13 +212,13 @@ impl<'a> Linker<'a> {
                     let v = &self.lights.vertices[link.light as usize];
                     let y = &eyes[link.eye as usize];
                     if v.merged() {
-                        return self.merge(link, v, y);
+                        return self.merge(link, v, y, ancestors);
                     }
                     if common.as_ref().is_none_or(|c| c.0 != link.light) {
                         common = Some((link.light, Common { parent: self.parent(v), flat: None }));
                     }
                     match &mut common {
-                        Some((_, common)) => self.link(link, v, common, (y, eyes)),
+                        Some((_, common)) => self.link(link, v, common, (y, eyes), ancestors),
                         None => Score { value: Rgb::ZERO, visible: false, rays: 0 },
                     }
                 })
@@ -226,17 +227,24 @@ impl<'a> Linker<'a> {
     }
 
     /// The photon `v` where it is merged with `y`.
-    fn merge(&self, link: &Link, v: &LightVertex, y: &EyeVertex) -> Score {
+    fn merge(&self, link: &Link, v: &LightVertex, y: &EyeVertex, ancestors: &[Ancestor]) -> Score {
         let none = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         // Photons on the other side of a sheet, or around a corner, belong elsewhere.
         if u32::from(v.segments) + y.segments > self.max || v.hit.n().dot(y.hit.n()) < 0.8 {
             return none;
         }
         let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
-        let own = self.plan.weighing.own(Way::Merge, v.landing());
-        let camera = y.nearer(&self.plan.weighing, v.pdf, here.pdf_to_camera);
-        let light = self.plan.weighing.times(here.pdf_to_light * v.back, v.behind);
-        let weight = own / (own + camera + light);
+        let weighing = &self.plan.weighing;
+        let weight = if weighing.alike > 0.0 {
+            let mut whole = self.down_to(v, here.pdf_to_light);
+            let joint = (v.pdf, weighing.made(Way::Merge, v.landing()), here.pdf_to_camera);
+            self.joined(&mut whole, y, joint, ancestors)
+        } else {
+            let own = weighing.own(Way::Merge, v.landing());
+            let camera = y.nearer(weighing, v.pdf, here.pdf_to_camera);
+            let light = weighing.times(here.pdf_to_light * v.back, v.behind);
+            own / (own + camera + light)
+        };
         let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let area = PI * v.radius * v.radius * self.lights.count as f32 * self.kernel_mean();
         let value = v.throughput * here.f * y.throughput * (weight * kernel * link.weight / (area * v.kept));
@@ -278,7 +286,14 @@ impl<'a> Linker<'a> {
         Parent::Vertex(parent, Box::new(self.world.shading(&parent.hit)))
     }
 
-    fn link(&self, link: &Link, v: &LightVertex, common: &mut Common, (y, eyes): (&EyeVertex, &[EyeVertex])) -> Score {
+    fn link(
+        &self,
+        link: &Link,
+        v: &LightVertex,
+        common: &mut Common,
+        (y, eyes): (&EyeVertex, &[EyeVertex]),
+        ancestors: &[Ancestor],
+    ) -> Score {
         let parent = &common.parent;
         let mut score = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         let before = if let Parent::Vertex(p, _) = parent { u32::from(p.segments) } else { 0 };
@@ -319,14 +334,14 @@ impl<'a> Linker<'a> {
         let kernel = kernel * self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let clear = || visible == Rgb::ONE && (!self.world.has_null() || self.world.is_clear(&segment));
         let weight = match self.weighs(parent, (y, eyes), clear, &mut score.rays) {
-            None => self.weight(parent, &arrival, &here, (y, cos_y), 1.0),
+            None => self.weight(parent, &arrival, &here, (y, cos_y, 1.0), ancestors),
             Some((first, size)) => {
                 let Some(arrival) = self.arrival(parent, first.hit.point.p) else { return score };
                 let Some(here) = scattering(self.world, &first.hit, &first.shading, arrival.wi, first.hit.wo) else {
                     return score;
                 };
                 let cos = first.hit.n().dot(arrival.wi).abs();
-                self.weight(parent, &arrival, &here, (first, cos), size)
+                self.weight(parent, &arrival, &here, (first, cos, size), ancestors)
             }
         };
         let paths = self.lights.count as f32;
@@ -454,13 +469,19 @@ impl<'a> Linker<'a> {
         parent: &Parent,
         arrival: &Arrival,
         here: &Scattering,
-        (y, cos_y): (&EyeVertex, f32),
-        times: f32,
+        (y, cos_y, times): (&EyeVertex, f32, f32),
+        ancestors: &[Ancestor],
     ) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let own = self.plan.weighing.own(Way::Link, self.plan.weighing.landing(onto_y, arrival.reach));
-        let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
+        let at = self.plan.weighing.landing(onto_y, arrival.reach);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent * times;
+        if self.plan.weighing.alike > 0.0 {
+            let mut whole = self.through(parent, arrival, y, parent_pdf);
+            let joint = (onto_y, self.plan.weighing.made(Way::Link, at), here.pdf_to_camera);
+            return self.joined(&mut whole, y, joint, ancestors);
+        }
+        let own = self.plan.weighing.own(Way::Link, at);
+        let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
         let light = match parent {
             Parent::Start(start) => {
                 let (w, begin) = (&self.plan.weighing, start.pdf_begin());
@@ -478,6 +499,58 @@ impl<'a> Linker<'a> {
         };
         own / (own + camera + light)
     }
+
+    /// The path of a link from `parent` up to that, of this density by the camera's walk.
+    fn through(&self, parent: &Parent, arrival: &Arrival, y: &EyeVertex, parent_pdf: f32) -> Whole {
+        match parent {
+            Parent::Start(start) => {
+                let direct = self.plan.weighing.emitters * self.pdf_direct(start, arrival, y);
+                begun(start, parent_pdf, direct)
+            }
+            Parent::Vertex(p, _) => {
+                let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
+                let mut whole = self.down_to(p, there);
+                if p.first() {
+                    whole.direct *= emitter_samples(self.world, y.depth + 1) as f32;
+                }
+                let at = p.landing();
+                let made = self.plan.weighing.made(p.way(), at);
+                whole.nodes.push(Node { light: p.pdf, camera: parent_pdf, made, delta: false });
+                whole
+            }
+        }
+    }
+
+    /// A light path up to the vertex before `v`, which a walk from there finds with the density `pdf_w` of the direction.
+    fn down_to(&self, v: &LightVertex, pdf_w: f32) -> Whole {
+        let (vertices, nodes) = (&self.lights.vertices, &self.lights.nodes);
+        let parent = |v: &&LightVertex| (!v.first()).then(|| &vertices[v.parent as usize]);
+        let first = std::iter::successors(Some(v), parent).last().unwrap_or(v);
+        let start = &self.lights.starts[first.parent as usize];
+        let begin = start.pdf_begin();
+        let back = if v.first() { pdf_w * v.back * begin } else { self.lights.start_backs[first.parent as usize] };
+        let mut whole = begun(start, back, first.direct.sqrt() * begin);
+        let above = std::iter::successors(Some(v), parent).filter(|v| !v.first()).map(|v| nodes[v.parent as usize]);
+        whole.nodes.extend(above);
+        whole.nodes[1..].reverse();
+        if let Some(last) = whole.nodes[1..].last_mut() {
+            last.camera = pdf_w * v.back * last.light;
+        }
+        whole
+    }
+
+    /// Weight of merging at `y`, of a path whose light's part is there; `joint` is of [`EyeVertex::ascend`].
+    fn joined(&self, whole: &mut Whole, y: &EyeVertex, joint: (f32, f32, f32), ancestors: &[Ancestor]) -> f32 {
+        let number = whole.nodes.len();
+        y.ascend(&self.plan.weighing, joint, ancestors, whole);
+        whole.weight(Technique::Joined(number), self.plan.weighing.alike)
+    }
+}
+
+/// The begin of a light path, of this density by a walk from the camera.
+fn begun(start: &LightStart, camera: f32, direct: f32) -> Whole {
+    let camera = if start.delta { 0.0 } else { camera };
+    Whole::from_light(start.pdf_begin(), camera, matches!(start.origin, End::Surface(_)), direct)
 }
 
 fn toward(from: Vec3, to: Vec3) -> Option<(Vec3, f32)> {

@@ -30,6 +30,8 @@ pub(crate) struct Method {
     pub(crate) smooth: bool,
     /// Links are weighed by the number that is made, not by that of the candidates.
     pub(crate) acceptance: bool,
+    /// They know what merges at a vertex have in common; of camera paths within so many pixels.
+    pub(crate) correlation: f32,
     /// Lights are sampled at camera vertices as well.
     pub(crate) emitters: bool,
     /// That sampling knows which lights a pilot found to be seen from where.
@@ -47,7 +49,7 @@ pub(crate) struct Method {
 }
 
 /// The options, in the order of the table in the docs.
-pub(crate) const OPTIONS: [Choice; 22] = [
+pub(crate) const OPTIONS: [Choice; 23] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: an eighth as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
     Choice {
@@ -97,6 +99,11 @@ pub(crate) const OPTIONS: [Choice; 22] = [
         default: "auto",
         about: "weights count the links that are made, not all that could be",
     },
+    Choice {
+        name: "correlation",
+        default: "0",
+        about: "weights know what links of a camera path have in common, as if paths within so many pixels were alike; 0: no",
+    },
     Choice { name: "weights", default: "auto", about: "bidirectional weights by the number of links, not by eq. 9" },
 ];
 
@@ -124,6 +131,11 @@ impl Method {
         if unbiased && options.choice("shrink", ["auto", "false", "true"])? == 1 {
             return options.wrong("shrink", "unbiased=true takes footprints that are capped: `auto` or `true`");
         }
+        let correlation = options.number("correlation", 0..=1 << 40)? as f32;
+        let weights = auto("weights")?;
+        if correlation > 0.0 && !weights {
+            return options.wrong("correlation", "eq. 9 knows of none: 0 with weights=false or printed=true;");
+        }
         Ok(Self {
             shrink: auto("shrink")?,
             normalise,
@@ -132,13 +144,14 @@ impl Method {
             importance: auto("importance")?,
             smooth: options.choice("kernel", ["auto", "even", "smooth"])? == 2,
             acceptance: auto("acceptance")?,
+            correlation,
             emitters: auto("emitters")?,
             seen: auto("seen")?,
             keep: options.switch("keep")?,
             edges: auto("edges")?,
             steady: options.switch("steady")?,
             sobol: auto("sobol")?,
-            weights: auto("weights")?,
+            weights,
         })
     }
 }

@@ -19,6 +19,7 @@
 //! participating media.
 
 mod chance;
+mod correlation;
 mod eye;
 mod keep;
 mod light;
@@ -37,6 +38,7 @@ use crate::render::Shot;
 use crate::subpath::Limits;
 use crate::world::World;
 use crate::{Result, Rgb};
+use correlation::Ancestor;
 use eye::EyeVertex;
 use keep::Keep;
 use light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Request};
@@ -154,6 +156,8 @@ struct Block<'a> {
     /// What was found beyond vertices that several camera paths share, and what each gets of it.
     tails: Vec<Rgb>,
     shares: Vec<Share>,
+    /// Where weights look at whole paths: those of the camera.
+    ancestors: Vec<Ancestor>,
     rays: u64,
 }
 
@@ -225,7 +229,8 @@ impl GKernel {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
         let photons = if self.method.caustics { photons } else { 0.0 };
         let emitters = if self.method.emitters { steadiness } else { 0.0 };
-        Weighing { scale, printed: !self.method.weights, emitters, photons, least: bandwidth.least }
+        let (printed, alike) = (!self.method.weights, self.method.correlation);
+        Weighing { scale, printed, emitters, photons, least: bandwidth.least, alike }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {
@@ -329,11 +334,13 @@ impl GKernel {
         tiles.par_iter_mut().for_each(|t| shot.add_features(t, aovs, sample));
         let (mut places, mut radiance) = (Vec::new(), Vec::new());
         let (mut tails, mut shares) = (Vec::new(), Vec::new());
-        let mut eyes = Vec::new();
+        let (mut eyes, mut ancestors) = (Vec::new(), Vec::new());
         let mut wanted = Vec::new();
         let mut rays = 0;
         for mut part in self.eyes(shot, linker.plan, tiles, sample) {
             let [base, first_tail, first_eye] = [radiance.len(), tails.len(), eyes.len()].map(|n| n as u32);
+            let first_ancestor = ancestors.len() as u32;
+            ancestors.extend(part.ancestors.iter().map(|a| a.moved(first_ancestor)));
             places.append(&mut part.places);
             radiance.append(&mut part.radiance);
             tails.append(&mut part.tails);
@@ -346,6 +353,7 @@ impl GKernel {
                     path,
                     tail: eye.tail.map(|t| t + first_tail),
                     group: eye.group.map(later),
+                    above: correlation::moved(eye.above, first_ancestor),
                     ..eye
                 });
             }
@@ -354,7 +362,7 @@ impl GKernel {
         let candidates = Candidates::find(&traced.footprints, &link::tree(&eyes), eyes.len());
         let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.briefs[light as usize], eye);
         let links = candidates.select(&eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
-        let scores = linker.score(&links, &eyes);
+        let scores = linker.score(&links, &eyes, &ancestors);
         let mut unoccluded = 0;
         for (link, score) in links.iter().zip(scores) {
             let eye = &eyes[link.eye as usize];

@@ -5,6 +5,7 @@
 //! unoccluded links). The lights' part is not in the paper: a lamp's chance follows what it brings to the picture, mixed
 //! with its power so that none is forgotten.
 
+use super::correlation::{self, Ancestor};
 use super::eye::EyeVertex;
 use super::keep::Keep;
 use super::light::{Brief, LightPaths, Request};
@@ -124,11 +125,18 @@ impl GKernel {
         let plan = Plan { weighing: Weighing { emitters: 0.0, ..plan.weighing }, ..plan };
         let block = |t| self.sparse_eyes(shot, plan, (t, STEP), |i| i % SPARSE == 5);
         let blocks: Vec<Block> = tiles.par_iter().map(block).collect();
-        let mut flock = Flock { eyes: Vec::new(), tile_of: Vec::new(), tiles: tiles.len() };
+        let mut flock = Flock { tiles: tiles.len(), ..Flock::default() };
         let mut paths = 0;
         for (t, block) in blocks.into_iter().enumerate() {
             flock.tile_of.extend(std::iter::repeat_n(t, block.eyes.len()));
-            flock.eyes.extend(block.eyes.into_iter().map(|eye| EyeVertex { path: eye.path + paths, ..eye }));
+            let by = flock.ancestors.len() as u32;
+            let moved = |eye: EyeVertex<'a>| EyeVertex {
+                path: eye.path + paths,
+                above: correlation::moved(eye.above, by),
+                ..eye
+            };
+            flock.eyes.extend(block.eyes.into_iter().map(moved));
+            flock.ancestors.extend(block.ancestors.iter().map(|a| a.moved(by)));
             paths += block.radiance.len() as u32;
         }
         flock
@@ -194,7 +202,7 @@ impl GKernel {
         // One link seen and one not for a start: what is not known is asked for moderately.
         let mut tiles = vec![(1.0_f32, 2.0_f32); flock.tiles];
         let mut depths = [(1.0_f32, 2.0_f32); DEPTHS];
-        for (link, score) in links.iter().zip(linker.score(&links, eyes)) {
+        for (link, score) in links.iter().zip(linker.score(&links, eyes, &flock.ancestors)) {
             let eye = &eyes[link.eye as usize];
             let add = |slot: &mut (f32, f32)| *slot = (slot.0 + f32::from(u8::from(score.visible)), slot.1 + 1.0);
             if eye.depth == 0 || self.method.target {
@@ -224,11 +232,13 @@ fn few(request: Request) -> Request {
 #[derive(Default)]
 struct Flock<'a> {
     eyes: Vec<EyeVertex<'a>>,
+    ancestors: Vec<Ancestor>,
     tile_of: Vec<usize>,
     tiles: usize,
 }
 
 impl Flock<'_> {
+    /// With the vertices of another; no links will be made.
     fn join(mut self, other: Self) -> Self {
         self.eyes.extend(other.eyes);
         self.tile_of.extend(other.tile_of.iter().map(|t| t + self.tiles));

@@ -16,9 +16,8 @@
 //! and w = g/(g + A + B); by default all g, r and q are squared first (Veach's power heuristic). What depends only on the walk is kept with the
 //! vertex (`behind`).
 //!
-//! Limit: that merges at a vertex share the camera's path to it (Grittmann et al. 2021) is not known to the weights. Their correction is made of
-//! products along the whole path, which sums along two walks cannot hold; it would mostly concern photons behind mirrors, since
-//! a camera path has about three links. What paths of a group have in common is known: see `share`.
+//! That merges at a vertex share the camera's path to it is an option: see `correlation`. What paths of a group have in common is always
+//! known: see `share`.
 
 use super::light::{LEAST_COS, Reach};
 
@@ -35,6 +34,8 @@ pub(crate) struct Weighing {
     pub(crate) photons: f32,
     /// Of the bandwidth.
     pub(crate) least: f32,
+    /// See [`super::correlation`]; 0: the weights do not know.
+    pub(crate) alike: f32,
 }
 
 /// A place of a light path.
@@ -83,12 +84,18 @@ impl Weighing {
     /// g of what may happen at a vertex where the light's walk may land.
     #[inline]
     pub(crate) fn own(&self, way: Way, at: Landing) -> f32 {
-        self.power(match way {
+        self.power(self.made(way, at))
+    }
+
+    /// The same before powers: how many times it is made.
+    #[inline]
+    pub(crate) fn made(&self, way: Way, at: Landing) -> f32 {
+        match way {
             Way::Closed => 0.0,
             Way::Merge => self.photons * at.pdf,
             Way::Link if self.printed => self.scale * at.pdf,
             Way::Link => self.scale * at.chance,
-        })
+        }
     }
 
     /// The power heuristic; eq. 9 is the balance heuristic.
