@@ -195,7 +195,7 @@ def main():
     p.add_argument("--settings", default="shut,half,open", help="doors")
     p.add_argument("--glossy", action="store_true", help="also the floor of rough metal, doors shut")
     p.add_argument("--seconds", type=lambda t: [float(v) for v in t.split(",")], default=[10.0, 30.0, 100.0])
-    p.add_argument("--long", type=float, default=0, metavar="SECONDS", help="one more time, of path and gkernel alone, on the first floor")
+    p.add_argument("--long", type=float, default=0, metavar="SECONDS", help="one more time, of path and gkernel alone, on the first two floors")
     p.add_argument("--reference", type=float, default=600, help="seconds of each half")
     p.add_argument("--size", type=size, default=(512, 384))
     p.add_argument("--seed", type=int, default=1, help="of the floor and of the methods")
