@@ -283,7 +283,7 @@ impl Sample<'_, '_> {
             let n = self.world.receiving_normal(&v.hit, shading);
             let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
             let (p, lights) = (v.hit.point.p, self.world.lights());
-            let chosen = lights.choose(p, n, None, u_choice);
+            let chosen = lights.choose(p, n, u_choice);
             let sample = |of: (usize, f32)| Some((of.0, lights.sample_of(self.world.scene(), p, of, u)?));
             let value = match chosen.and_then(sample) {
                 Some((light, sample)) => self.direct_from(i, light, &sample),

@@ -26,7 +26,7 @@ use translume_core::warp;
 use translume_scene::Scene;
 use translume_scene::emitter::Emitter;
 use translume_trace::SurfacePoint;
-pub(crate) use tree::Factors;
+pub(crate) use tree::Place;
 use tree::{LightBounds, LightTree};
 
 /// The other end of a connection to a light.
@@ -232,14 +232,24 @@ impl Lights {
     /// the light that was chosen does not shine here.
     #[inline]
     pub fn sample(&self, scene: &Scene, p: Vec3, n: Vec3, u_choice: f32, u: Vec2) -> Option<LightSample> {
-        let chosen = self.choose(p, n, None, u_choice)?;
+        let chosen = self.choose(p, n, u_choice)?;
         self.sample_of(scene, p, chosen, u)
     }
 
-    /// Chooses a light for `p` and `n`, by what is known of those that are seen there; its number and its probability. `None`: none
-    /// shines here.
+    /// Chooses a light for `p` and `n`; its number and its probability. `None`: none shines here.
     #[inline]
-    pub(crate) fn choose(&self, p: Vec3, n: Vec3, seen: Option<Factors>, u: f32) -> Option<(usize, f32)> {
+    pub(crate) fn choose(&self, p: Vec3, n: Vec3, u: f32) -> Option<(usize, f32)> {
+        self.choose_by(u, |u| self.tree.sample(p, n, None, u))
+    }
+
+    /// The same at a place that asks several times, by what is known of the lights that are seen there.
+    #[inline]
+    pub(crate) fn choose_at(&self, place: &mut Place, u: f32) -> Option<(usize, f32)> {
+        self.choose_by(u, |u| self.tree.sample_at(place, u))
+    }
+
+    #[inline(always)]
+    fn choose_by(&self, u: f32, near: impl FnOnce(f32) -> Option<(usize, f32)>) -> Option<(usize, f32)> {
         if self.is_empty() {
             return None;
         }
@@ -249,7 +259,7 @@ impl Lights {
             return Some((self.far[i.min(self.far.len() - 1)], share / self.far.len() as f32));
         }
         let u = ((u - share) / (1.0 - share)).min(warp::ONE_MINUS_EPSILON);
-        let (index, pmf) = self.tree.sample(p, n, seen, u)?;
+        let (index, pmf) = near(u)?;
         Some((index, pmf * (1.0 - share)))
     }
 

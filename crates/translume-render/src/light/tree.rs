@@ -82,6 +82,34 @@ struct Node {
 /// Factors on the importances of the children of the first nodes; only their ratios within a node count.
 pub(crate) type Factors<'a> = &'a [[u8; 4]];
 
+/// A point that chooses several lights: the nodes on its ways down, of which the upper ones are the same.
+pub(crate) struct Place<'a> {
+    p: Vec3,
+    n: Vec3,
+    seen: Option<Factors<'a>>,
+    /// Numbers of nodes, and their children's importances.
+    known: [(usize, [f32; 4]); KNOWN],
+}
+
+/// A power of two.
+const KNOWN: usize = 16;
+
+impl<'a> Place<'a> {
+    /// As of [`LightTree::sample`].
+    pub(crate) fn new(p: Vec3, n: Vec3, seen: Option<Factors<'a>>) -> Self {
+        Self { p, n, seen, known: [(usize::MAX, [0.0; 4]); KNOWN] }
+    }
+
+    #[inline(always)]
+    fn importance(&mut self, at: usize, node: &Node) -> [f32; 4] {
+        let slot = &mut self.known[at % KNOWN];
+        if slot.0 != at {
+            *slot = (at, node.importance(self.p, self.n, factors(self.seen, at)));
+        }
+        slot.1
+    }
+}
+
 /// A step on the way down to a light.
 pub(crate) struct Trail {
     pub(crate) node: usize,
@@ -252,10 +280,21 @@ impl LightTree {
     /// what is known there.
     #[inline]
     pub(crate) fn sample(&self, p: Vec3, n: Vec3, seen: Option<Factors>, u: f32) -> Option<(usize, f32)> {
+        self.descend(u, |at, node| node.importance(p, n, factors(seen, at)))
+    }
+
+    /// The same at a place that asks several times.
+    #[inline]
+    pub(crate) fn sample_at(&self, place: &mut Place, u: f32) -> Option<(usize, f32)> {
+        self.descend(u, |at, node| place.importance(at, node))
+    }
+
+    #[inline(always)]
+    fn descend(&self, u: f32, mut importance_of: impl FnMut(usize, &Node) -> [f32; 4]) -> Option<(usize, f32)> {
         let (mut at, mut u, mut pmf) = (0, u, 1.0);
         loop {
             let node = self.nodes.get(at)?;
-            let importance = node.importance(p, n, factors(seen, at));
+            let importance = importance_of(at, node);
             let total: f32 = importance.iter().sum();
             if !(total > 0.0 && total < f32::INFINITY) {
                 return None;

@@ -7,7 +7,7 @@ use super::light::Reach;
 use super::share::{self, Group, Onward, Receiver, Share};
 use super::weight::{Landing, Way, Weighing};
 use super::{Block, Plan};
-use crate::light::{End, Factors, LightPoint};
+use crate::light::{End, LightPoint, Place};
 use crate::subpath::{Density, Escape, Going, Limits, NONE, Vertex, Walk, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -305,16 +305,16 @@ impl<'a> Eye<'a> {
     /// Emitter sampling at `y`.
     fn lit(&self, y: &EyeVertex, sampler: &mut PathSampler, ancestors: &[Ancestor], rays: &mut u64) -> Rgb {
         let (p, n) = (y.hit.point.p, self.world.receiving_normal(&y.hit, &y.shading));
-        let seen = self.plan.seen.map(|s| s.from(p, n));
+        let mut place = Place::new(p, n, self.plan.seen.map(|s| s.from(p, n)));
         let samples = emitter_samples(self.world, y.depth);
-        (0..samples).map(|_| self.lit_once(y, (n, seen), samples as f32, sampler, ancestors, rays)).sum()
+        (0..samples).map(|_| self.lit_once(y, &mut place, samples as f32, sampler, ancestors, rays)).sum()
     }
 
     /// One of `samples` of the light that falls on `y`.
     fn lit_once(
         &self,
         y: &EyeVertex,
-        (n, seen): (Vec3, Option<Factors>),
+        place: &mut Place,
         samples: f32,
         sampler: &mut PathSampler,
         ancestors: &[Ancestor],
@@ -323,7 +323,7 @@ impl<'a> Eye<'a> {
         let (world, lights) = (self.world, self.world.lights());
         let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
         let p = y.hit.point.p;
-        let Some(chosen) = lights.choose(p, n, seen, u_choice) else { return Rgb::ZERO };
+        let Some(chosen) = lights.choose_at(place, u_choice) else { return Rgb::ZERO };
         let Some(sample) = lights.sample_of(world.scene(), p, chosen, u) else { return Rgb::ZERO };
         let Some(here) = scattering(world, &y.hit, &y.shading, sample.wi, y.hit.wo) else { return Rgb::ZERO };
         *rays += 1;

@@ -13,7 +13,7 @@ use super::link::{self, Candidates};
 use super::weight::Weighing;
 use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS, Plan};
 use crate::film::Film;
-use crate::light::{Seen, Starts, Tried};
+use crate::light::{Place, Seen, Starts, Tried};
 use crate::render::Shot;
 use crate::world::{MOST_CROSSINGS, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -257,10 +257,10 @@ impl Flock<'_> {
         let of = |(i, eye): (usize, &EyeVertex)| {
             let mut sampler = PathSampler::new(shot.seed ^ 0x706c_6f74, i as u64, round);
             let (p, n) = (eye.hit.point.p, world.receiving_normal(&eye.hit, &eye.shading));
-            let seen = seen.map(|s| s.from(p, n));
+            let mut place = Place::new(p, n, seen.map(|s| s.from(p, n)));
             let once = |_| {
                 let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
-                let chosen = lights.choose(p, n, seen, u_choice)?;
+                let chosen = lights.choose_at(&mut place, u_choice)?;
                 let Some(sample) = lights.sample_of(world.scene(), p, chosen, u) else { return Some((chosen.0, 0.0)) };
                 let (f_cos, _) = eye.shading.eval_cos_pdf(eye.hit.wo, sample.wi, Mode::Radiance);
                 let unshadowed = luminance(sample.radiance * f_cos * eye.throughput) / sample.pdf_w;
