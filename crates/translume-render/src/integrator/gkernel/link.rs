@@ -53,7 +53,7 @@ impl Candidates {
             .par_chunks(CHUNK)
             .map(|chunk| {
                 let mut pairs = Vec::new();
-                chunk.iter().for_each(|f| tree.within(f.p, f.radius, |eye| pairs.push((eye, f.light))));
+                tree.within_all(chunk, |f| (f.p, f.radius), |f, eye| pairs.push((eye, f.light)));
                 pairs
             })
             .collect();
