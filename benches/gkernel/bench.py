@@ -22,8 +22,8 @@ UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
 PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
          "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false"), "emitters": ("true", "false"),
          "seen": ("true", "false"), "shared": ("8", "1"), "edges": ("true", "false"), "acceptance": ("true", "false"),
-         "steady": ("true", "true"), "keep": ("true", "true"), "kernel": ("smooth", "smooth"),
-         "correlation": (None, "256")}  # the last four are not in the default: both columns are with them; eq. 9 of the printed method has none
+         "steady": ("true", "false"), "keep": ("true", "true"), "kernel": ("smooth", "smooth"),
+         "correlation": (None, "256")}  # the last three are not in the default: both columns are with them; eq. 9 of the printed method has none
 
 
 def read(path):

@@ -337,7 +337,7 @@ impl<'a> Eye<'a> {
         let distance = (point.p - p).length();
         let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
         let weighing = &self.plan.weighing;
-        let own = weighing.emitters * samples * per_point(sample.pdf_w);
+        let own = weighing.sampled(y.depth == 0) * samples * per_point(sample.pdf_w);
         let met = if sample.delta { 0.0 } else { per_point(here.pdf_to_light) };
         let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
@@ -371,24 +371,26 @@ impl<'a> Eye<'a> {
             }
             _ => 0.0,
         };
-        v.throughput * radiance * self.met((begin, v.pdf, direct), true, (parent, back, at), (behind, above))
+        v.throughput
+            * radiance
+            * self.met((begin, v.pdf, direct), (true, depth == 1), (parent, back, at), (behind, above))
     }
 
     /// Weight of a camera's walk that meets a light: densities of its point by light paths, by this walk and by samples of
-    /// lights; whether it is one of an extended light; the vertex before and the density with which light's walk finds it.
+    /// lights; whether it is one of an extended light, and the vertex before the walk's first; that vertex and the density with which light's walk finds it.
     fn met(
         &self,
         (begin, own, direct): (f32, f32, f32),
-        extended: bool,
+        (extended, first): (bool, bool),
         (parent, back, at): (&Vertex, f32, Landing),
         (behind, above): (f32, Above),
     ) -> f32 {
         let (weighing, way) = (&self.plan.weighing, Way::of(parent.delta, false));
         if weighing.alike == 0.0 {
             let inner = weighing.add(way, at, back / parent.pdf, behind);
-            return weight(weighing.times(begin / own, inner) + weighing.direct(direct / own));
+            return weight(weighing.times(begin / own, inner) + weighing.direct(first, direct / own));
         }
-        let mut whole = Whole::from_light(begin, own, extended, weighing.emitters * direct);
+        let mut whole = Whole::from_light(begin, own, extended, weighing.sampled(first) * direct);
         let made = weighing.made(way, at);
         whole.nodes.push(Node { light: back, camera: parent.pdf, made, delta: parent.delta });
         whole.ascend(above.0, above.1);
@@ -408,7 +410,8 @@ impl<'a> Eye<'a> {
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
             let at = self.plan.weighing.landing(back, Reach::Parallel(next));
             let direct = if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w };
-            far.radiance * self.met((begin, escape.pdf_w, direct), false, (parent, back, at), (behind, above))
+            far.radiance
+                * self.met((begin, escape.pdf_w, direct), (false, depth == 0), (parent, back, at), (behind, above))
         };
         escape.throughput * lights.far_lights(escape.d).map(one).sum::<Rgb>()
     }

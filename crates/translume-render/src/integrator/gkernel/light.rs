@@ -327,7 +327,7 @@ impl LightPaths {
             None if request.plan.weighing.emitters > 0.0 && !v.delta => {
                 let pdf =
                     request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), request.plan.seen, &point, wo);
-                request.plan.weighing.direct(pdf / light.start.pdf_begin())
+                request.plan.weighing.direct(false, pdf / light.start.pdf_begin())
             }
             _ => 0.0,
         };

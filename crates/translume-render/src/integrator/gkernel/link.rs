@@ -436,9 +436,11 @@ impl<'a> Linker<'a> {
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
     #[inline]
     pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
-        let own = self.plan.weighing.own(v.way, v.at);
-        let camera = y.nearer(&self.plan.weighing, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
-        let light = self.plan.weighing.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + v.direct;
+        let w = &self.plan.weighing;
+        let own = w.own(v.way, v.at);
+        let camera = y.nearer(w, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
+        let direct = w.times(w.sampled(y.depth == 0) / w.sampled(false), v.direct);
+        let light = w.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + direct;
         own / (own + camera + light)
     }
 
@@ -486,7 +488,7 @@ impl<'a> Linker<'a> {
             Parent::Start(start) => {
                 let (w, begin) = (&self.plan.weighing, start.pdf_begin());
                 w.times(parent_pdf / begin, w.of_light(start.delta))
-                    + w.direct(self.pdf_direct(start, arrival, y) / begin)
+                    + w.direct(y.depth == 0, self.pdf_direct(start, arrival, y) / begin)
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
@@ -504,7 +506,7 @@ impl<'a> Linker<'a> {
     fn through(&self, parent: &Parent, arrival: &Arrival, y: &EyeVertex, parent_pdf: f32) -> Whole {
         match parent {
             Parent::Start(start) => {
-                let direct = self.plan.weighing.emitters * self.pdf_direct(start, arrival, y);
+                let direct = self.plan.weighing.sampled(y.depth == 0) * self.pdf_direct(start, arrival, y);
                 begun(start, parent_pdf, direct)
             }
             Parent::Vertex(p, _) => {

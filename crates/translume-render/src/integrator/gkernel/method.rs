@@ -92,7 +92,11 @@ pub(crate) const OPTIONS: [Choice; 23] = [
     },
     Choice { name: "keep", default: "false", about: "keep light paths by what they may bring to the picture" },
     Choice { name: "edges", default: "auto", about: "more rays through pixels at the edges of lamps" },
-    Choice { name: "steady", default: "false", about: "weights know how little samples of lights differ" },
+    Choice {
+        name: "steady",
+        default: "auto",
+        about: "weights know how little samples of lights at the first surface differ",
+    },
     Choice { name: "sobol", default: "auto", about: "light paths by a low-discrepancy sequence" },
     Choice {
         name: "acceptance",
@@ -149,7 +153,7 @@ impl Method {
             seen: auto("seen")?,
             keep: options.switch("keep")?,
             edges: auto("edges")?,
-            steady: options.switch("steady")?,
+            steady: auto("steady")?,
             sobol: auto("sobol")?,
             weights,
         })

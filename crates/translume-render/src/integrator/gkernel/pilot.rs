@@ -294,9 +294,12 @@ impl Flock<'_> {
         let mut brought = vec![0.0; lights];
         let (mut squares, mut variance) = (0.0, 0.0);
         let tries = self.tries() as f32;
-        for (lamps, tile) in found.iter().zip(&self.tile_of).filter(|_| dark > 0.0) {
+        for ((lamps, tile), eye) in found.iter().zip(&self.tile_of).zip(&self.eyes).filter(|_| dark > 0.0) {
             let relative = |value: f32| value / (shine[*tile] + dark);
             lamps.iter().for_each(|(light, value)| brought[*light] += relative(*value));
+            if eye.depth > 0 {
+                continue;
+            }
             let mean = lamps.iter().map(|(_, value)| relative(*value)).sum::<f32>() / tries;
             let square = lamps.iter().map(|(_, value)| relative(*value).powi(2)).sum::<f32>() / tries;
             squares += square;

@@ -28,7 +28,8 @@ pub(crate) struct Weighing {
     pub(crate) scale: f32,
     /// Eq. 9.
     pub(crate) printed: bool,
-    /// How much a sample of a light at a camera vertex counts; 0: none are taken. See [`super::pilot`].
+    /// How much a sample of a light at a camera path's first vertex counts, see [`super::pilot`]; farther on it counts as one, since what it has in
+    /// common with others, the path to there, is not steady. 0: none are taken.
     pub(crate) emitters: f32,
     /// N π r² of photon merging, with g = N π r² p^L(z_j); 0 where there is none.
     pub(crate) photons: f32,
@@ -116,10 +117,16 @@ impl Weighing {
         if delta { 0.0 } else { 1.0 }
     }
 
+    /// How much a sample of a light counts at a camera path's `first` vertex, or another one.
+    #[inline]
+    pub(crate) fn sampled(&self, first: bool) -> f32 {
+        if first { self.emitters } else { self.emitters.min(1.0) }
+    }
+
     /// Emitter sampling beside what else may happen; `ratio` is its density of the light's point over the other's.
     #[inline]
-    pub(crate) fn direct(&self, ratio: f32) -> f32 {
-        self.times(self.emitters * ratio, 1.0)
+    pub(crate) fn direct(&self, first: bool, ratio: f32) -> f32 {
+        self.times(self.sampled(first) * ratio, 1.0)
     }
 
     /// A bracket around `inner`: what may happen at a vertex where the light's walk may land, and what lies behind.
