@@ -138,7 +138,7 @@ impl Method {
         let correlation = options.number("correlation", 0..=1 << 40)? as f32;
         let weights = auto("weights")?;
         if correlation > 0.0 && !weights {
-            return options.wrong("correlation", "eq. 9 knows of none: 0 with weights=false or printed=true;");
+            return options.wrong("correlation", "0 with weights=false or printed=true, since eq. 9 knows of none,");
         }
         Ok(Self {
             shrink: auto("shrink")?,
