@@ -21,7 +21,7 @@ pub(crate) struct Node {
     pub(crate) light: f32,
     /// Of the camera's walk, in the same measure; 0 of z₀ that it cannot meet.
     pub(crate) camera: f32,
-    /// g of what may happen here, before powers; 1 of z₀.
+    /// g of what may happen here, before powers; of z₀ it is 1.
     pub(crate) made: f32,
     /// It scatters in single directions.
     pub(crate) delta: bool,
@@ -96,7 +96,7 @@ impl Whole {
             factor /= ratio(j);
             sum += finite(merges(j) * factor).powi(2);
         }
-        let met = f64::from(self.nodes[0].camera * self.nodes[0].made);
+        let met = f64::from(self.nodes[0].camera);
         let sampled = f64::from(self.direct);
         sum += finite(met * factor).powi(2) + finite(sampled * factor).powi(2);
         factor = 1.0;

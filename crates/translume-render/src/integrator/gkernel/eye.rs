@@ -283,22 +283,23 @@ impl<'a> Eye<'a> {
 
     /// The bracket behind the vertex before, of a vertex whose parent has this number.
     fn behind(&self, path: &[Vertex], behind: &[f32], parent: u32) -> f32 {
-        let Some(parent_vertex) = path.get(parent as usize) else { return 0.0 };
-        let Some(above) = path.get(parent_vertex.parent as usize) else { return 0.0 };
-        let way = Way::of(above.delta, parent_vertex.delta);
-        let at = self.plan.weighing.landing(above.pdf_back, Reach::Distance(between(above, &parent_vertex.hit)));
-        self.plan.weighing.add(way, at, above.pdf_back / above.pdf, behind[parent as usize])
+        let above = path.get(parent as usize).and_then(|v| self.before(path, v));
+        above
+            .map_or(0.0, |node| self.plan.weighing.around(node.made, node.light / node.camera, behind[parent as usize]))
+    }
+
+    /// The vertex before `v`, where the light's walk comes from there.
+    fn before(&self, path: &[Vertex], v: &Vertex) -> Option<Node> {
+        let parent = path.get(v.parent as usize)?;
+        let at = self.plan.weighing.landing(parent.pdf_back, Reach::Distance(between(parent, &v.hit)));
+        let made = self.plan.weighing.made(Way::of(parent.delta, v.delta), at);
+        Some(Node { light: parent.pdf_back, camera: parent.pdf, made, delta: parent.delta })
     }
 
     /// Makes the vertex before `v` an ancestor; its number. `above` is that of the one before.
     fn ancestor(&self, path: &[Vertex], v: &Vertex, above: u32, all: &mut Vec<Ancestor>) -> u32 {
-        let Some(parent) = path.get(v.parent as usize) else { return NONE };
-        let at = self.plan.weighing.landing(parent.pdf_back, Reach::Distance(between(parent, &v.hit)));
-        let made = self.plan.weighing.made(Way::of(parent.delta, v.delta), at);
-        all.push(Ancestor {
-            node: Node { light: parent.pdf_back, camera: parent.pdf, made, delta: parent.delta },
-            above,
-        });
+        let Some(node) = self.before(path, v) else { return NONE };
+        all.push(Ancestor { node, above });
         all.len() as u32 - 1
     }
 

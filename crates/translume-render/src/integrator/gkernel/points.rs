@@ -104,12 +104,13 @@ impl Points {
             self.touch(0, &around, &mut touched);
             for ball in group {
                 let (center, radius) = of(ball);
-                if touched.len() > MOST_TOUCHED {
-                    self.within(center, radius, |number| each(ball, number));
-                    continue;
-                }
                 let place = Ball { center, radius2: radius * radius };
-                touched.iter().for_each(|leaf| self.leaves[*leaf].within(place, &mut |number| each(ball, number)));
+                let mut each = |number| each(ball, number);
+                if touched.len() > MOST_TOUCHED {
+                    self.visit(0, place, &mut each);
+                } else {
+                    touched.iter().for_each(|leaf| self.leaves[*leaf].within(place, &mut each));
+                }
             }
         }
     }

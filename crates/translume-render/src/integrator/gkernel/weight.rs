@@ -132,6 +132,12 @@ impl Weighing {
     /// A bracket around `inner`: what may happen at a vertex where the light's walk may land, and what lies behind.
     #[inline]
     pub(crate) fn add(&self, way: Way, at: Landing, ratio: f32, inner: f32) -> f32 {
-        self.own(way, at) + self.times(ratio, inner)
+        self.around(self.made(way, at), ratio, inner)
+    }
+
+    /// The same where it is known how many times it is made.
+    #[inline]
+    pub(crate) fn around(&self, made: f32, ratio: f32, inner: f32) -> f32 {
+        self.power(made) + self.times(ratio, inner)
     }
 }
