@@ -8,7 +8,7 @@ use std::fmt::Display;
 use std::fs::File;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
 
 /// What a verb gets besides its own arguments.
@@ -21,10 +21,43 @@ pub(crate) struct Context {
     pub(crate) verbosity: u8,
     /// The command line, quoted for a shell, with what a configuration file added: provenance of the results.
     pub(crate) command_line: String,
+    messages: Arc<Messages>,
+    json_emitted: AtomicBool,
+}
+
+/// Where messages go: those of the verbs, and those that libraries say through the `log` crate.
+struct Messages {
+    quiet: bool,
+    verbosity: u8,
     bars: MultiProgress,
     log: Option<Mutex<File>>,
     start: Instant,
-    json_emitted: AtomicBool,
+    /// All warnings of the run, each once, for `--json`.
+    warnings: Mutex<Vec<String>>,
+}
+
+static MESSAGES: OnceLock<Arc<Messages>> = OnceLock::new();
+
+/// Libraries' words on the way to [`Messages`]: warnings are shown as the verbs' own are.
+struct LibraryMessages;
+
+impl log::Log for LibraryMessages {
+    fn enabled(&self, metadata: &log::Metadata) -> bool {
+        metadata.target().starts_with("translume")
+    }
+
+    fn log(&self, record: &log::Record) {
+        let Some(messages) = MESSAGES.get().filter(|_| self.enabled(record.metadata())) else { return };
+        let text = record.args().to_string();
+        match record.level() {
+            log::Level::Error | log::Level::Warn => messages.warn(&text),
+            log::Level::Info => messages.say("note", !messages.quiet, &text),
+            log::Level::Debug => messages.say("detail", messages.verbosity >= 1, &text),
+            log::Level::Trace => messages.say("trace", messages.verbosity >= 2, &text),
+        }
+    }
+
+    fn flush(&self) {}
 }
 
 #[allow(dead_code, reason = "what verbs may need, whether or not one needs it now")]
@@ -39,17 +72,26 @@ impl Context {
             file.with_context(|| format!("cannot write the log file {}", path.display()))
         };
         let hidden = options.quiet || !io::stderr().is_terminal();
-        let context = Self {
-            json: options.json,
+        let messages = Arc::new(Messages {
             quiet: options.quiet,
             verbosity: options.verbose,
-            command_line: quote(argv),
             bars: MultiProgress::with_draw_target(match hidden {
                 true => ProgressDrawTarget::hidden(),
                 false => ProgressDrawTarget::stderr(),
             }),
             log: options.log_file.as_ref().map(open).transpose()?.map(Mutex::new),
             start: Instant::now(),
+            warnings: Mutex::default(),
+        });
+        if MESSAGES.set(messages.clone()).is_ok() && log::set_logger(&LibraryMessages).is_ok() {
+            log::set_max_level(log::LevelFilter::Trace);
+        }
+        let context = Self {
+            json: options.json,
+            quiet: options.quiet,
+            verbosity: options.verbose,
+            command_line: quote(argv),
+            messages,
             json_emitted: AtomicBool::new(false),
         };
         context.log("start", &format!("{} ({})", context.command_line, env!("CARGO_PKG_VERSION")));
@@ -61,27 +103,28 @@ impl Context {
         self.detail(label);
         let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").expect("the template is sound");
         let bar = ProgressBar::new(len).with_style(style).with_message(label.to_owned());
-        self.bars.add(bar.with_finish(ProgressFinish::AndClear))
+        self.messages.bars.add(bar.with_finish(ProgressFinish::AndClear))
     }
 
     /// Tells how the run went: on standard error unless `--quiet`.
     pub(crate) fn note(&self, message: impl Display) {
-        self.message("note", !self.quiet, &message.to_string());
+        self.messages.say("note", !self.quiet, &message.to_string());
     }
 
-    /// Tells what the user must know although the run goes on: on standard error, even with `--quiet`.
+    /// Tells what the user must know although the run goes on: on standard error, even with `--quiet`, and in the
+    /// `warnings` of `--json`.
     pub(crate) fn warn(&self, message: impl Display) {
-        self.message("warning", true, &message.to_string());
+        self.messages.warn(&message.to_string());
     }
 
     /// Tells what one run in ten is interested in: on standard error with `-v`.
     pub(crate) fn detail(&self, message: impl Display) {
-        self.message("detail", self.verbosity >= 1, &message.to_string());
+        self.messages.say("detail", self.verbosity >= 1, &message.to_string());
     }
 
     /// Tells what only the search for an error needs: on standard error with `-vv`.
     pub(crate) fn trace(&self, message: impl Display) {
-        self.message("trace", self.verbosity >= 2, &message.to_string());
+        self.messages.say("trace", self.verbosity >= 2, &message.to_string());
     }
 
     /// The result as text, on standard output; nothing with `--json`. A final line end is added.
@@ -89,9 +132,18 @@ impl Context {
         if self.json { Ok(()) } else { print(&format!("{text}\n")) }
     }
 
-    /// The result as one JSON object, on standard output; nothing without `--json`. Called once in a run.
-    pub(crate) fn emit_json(&self, value: serde_json::Value) -> anyhow::Result<()> {
+    /// The result as one JSON object, on standard output; nothing without `--json`. Called once in a run. The run's
+    /// warnings are added to it.
+    pub(crate) fn emit_json(&self, mut value: serde_json::Value) -> anyhow::Result<()> {
         debug_assert!(value.is_object(), "--json promises an object");
+        if let Some(object) = value.as_object_mut() {
+            let listed = object.entry("warnings").or_insert_with(|| serde_json::json!([]));
+            if let Some(listed) = listed.as_array_mut() {
+                let said = self.messages.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+                let new: Vec<_> = said.iter().filter(|w| !listed.iter().any(|l| l == w.as_str())).collect();
+                listed.extend(new.into_iter().map(|w| serde_json::json!(w)));
+            }
+        }
         let earlier = self.json_emitted.swap(true, Ordering::Relaxed);
         debug_assert!(!earlier, "--json promises one object");
         if self.json { print(&format!("{value}\n")) } else { Ok(()) }
@@ -108,6 +160,12 @@ impl Context {
 
     /// A line for the log file alone.
     pub(crate) fn log(&self, level: &str, message: &str) {
+        self.messages.log(level, message);
+    }
+}
+
+impl Messages {
+    fn log(&self, level: &str, message: &str) {
         if let Some(log) = &self.log {
             let mut log = log.lock().unwrap_or_else(PoisonError::into_inner);
             // A full disk will show in the results; the log must not end the run.
@@ -115,11 +173,21 @@ impl Context {
         }
     }
 
-    fn message(&self, level: &str, shown: bool, message: &str) {
+    fn say(&self, level: &str, shown: bool, message: &str) {
         self.log(level, message);
         if shown {
             let prefix = if level == "warning" { "translume: warning: " } else { "" };
             self.bars.suspend(|| writeln!(io::stderr(), "{prefix}{message}").ok());
+        }
+    }
+
+    /// A warning, once however often it comes.
+    fn warn(&self, message: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if warnings.iter().all(|w| w != message) {
+            warnings.push(message.to_owned());
+            drop(warnings);
+            self.say("warning", true, message);
         }
     }
 }
