@@ -3,6 +3,7 @@
 use crate::commands::Verb;
 use crate::config::{self, Request};
 use crate::output::{self, Context};
+use crate::signals;
 use clap::builder::RangedU64ValueParser;
 use clap::{CommandFactory, FromArgMatches};
 use std::ffi::OsString;
@@ -23,7 +24,7 @@ Examples:
     translume man pages/ --print-config > run.toml
     translume man --config run.toml
 
-Exit status: 0 fine, 1 failed, 2 wrong usage.";
+Exit status: 0 fine, 1 failed, 2 wrong usage; 130 and 143 after SIGINT (Ctrl-C) and SIGTERM, which keep what there is.";
 
 /// Measured appearance, from camera to picture.
 ///
@@ -63,6 +64,9 @@ pub(crate) struct GlobalOptions {
     /// Append all messages, those of -vv included, to a file
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) log_file: Option<PathBuf>,
+    /// Leave the command line out of the files that are written (it names files without their directories)
+    #[arg(long, global = true)]
+    pub(crate) no_provenance: bool,
 }
 
 /// A mistake in how the program was called that clap cannot see: reported like any error, but with exit status 2.
@@ -79,29 +83,39 @@ impl std::error::Error for Usage {}
 
 /// Runs the program with the arguments `argv` (the first is the program's name) and returns its exit status.
 pub(crate) fn run(argv: Vec<OsString>) -> u8 {
+    let json = argv.iter().take_while(|a| *a != "--").any(|a| a == "--json");
     let request = match config::resolve(Cli::command(), argv) {
         Ok(request) => request,
-        Err(error) => return output::report(&error),
+        Err(error) => return output::report(&error, json),
     };
-    let outcome = match request {
-        Request::Print(text) => output::print(&text),
+    match request {
+        Request::Print(text) => output::print(&text).map_or_else(|error| output::report(&error, json), |()| 0),
         Request::Run { matches, argv } => execute(&matches, &argv),
-    };
-    outcome.map_or_else(|error| output::report(&error), |()| 0)
+    }
 }
 
 /// Sets up what all verbs share and calls the one that was asked for.
-fn execute(matches: &clap::ArgMatches, argv: &[OsString]) -> anyhow::Result<()> {
-    let Cli { global, verb } = Cli::from_arg_matches(matches)?;
-    let context = Context::new(&global, argv)?;
-    if let Some(threads) = global.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+fn execute(matches: &clap::ArgMatches, argv: &[OsString]) -> u8 {
+    let json = matches.get_flag("json");
+    let begun = Cli::from_arg_matches(matches).map_err(anyhow::Error::from).and_then(|cli| {
+        let context = Context::new(&cli.global, argv, &config::paths(&Cli::command(), matches))?;
+        signals::listen()?;
+        if let Some(threads) = cli.global.threads {
+            rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+        }
+        Ok((cli.verb, context))
+    });
+    let (verb, context) = match begun {
+        Ok(begun) => begun,
+        Err(error) => return output::report(&error, json),
+    };
+    match verb.run(&context).and_then(|()| context.finish()) {
+        Ok(()) => context.exit_status(),
+        Err(error) => {
+            context.log("error", &output::one_line(&error));
+            output::report(&error, json && !context.has_emitted())
+        }
     }
-    let outcome = verb.run(&context).and_then(|()| context.finish());
-    if let Err(error) = &outcome {
-        context.log("error", &output::one_line(error));
-    }
-    outcome
 }
 
 #[cfg(test)]

@@ -71,6 +71,17 @@ pub(crate) fn resolve(mut command: Command, mut argv: Vec<OsString>) -> Result<R
     }
 }
 
+/// The arguments of `matches` that are names of files.
+pub(crate) fn paths(root: &Command, matches: &ArgMatches) -> Vec<OsString> {
+    let mut root = root.clone();
+    root.build();
+    let chosen = Chosen::find(&root, matches);
+    let path = std::any::TypeId::of::<std::path::PathBuf>();
+    let arguments = chosen.command().get_arguments().filter(|a| a.get_value_parser().type_id() == path);
+    let values = arguments.filter_map(|a| chosen.matches.get_raw(a.get_id().as_str())).flatten();
+    values.map(ToOwned::to_owned).collect()
+}
+
 fn read(path: &Path) -> Result<Table> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     text.parse().map_err(|e: toml::de::Error| {

@@ -1,15 +1,18 @@
 //! What a run says: results on standard output, messages and progress on standard error and in the log file.
 
 use crate::cli::{FAILED, GlobalOptions, Usage, WRONG_USAGE};
+use crate::signals;
 use anyhow::Context as _;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressFinish, ProgressStyle};
 use std::ffi::OsString;
 use std::fmt::Display;
 use std::fs::File;
-use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::io::{self, ErrorKind, IsTerminal, Read, Write};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
+use translume_image::atomic::{self, Place, Stream};
 
 /// What a verb gets besides its own arguments.
 pub(crate) struct Context {
@@ -19,10 +22,17 @@ pub(crate) struct Context {
     pub(crate) quiet: bool,
     /// How many `-v` were given.
     pub(crate) verbosity: u8,
-    /// The command line, quoted for a shell, with what a configuration file added: provenance of the results.
+    /// The command line, quoted for a shell, with what a configuration file added and without directories: provenance of
+    /// the results. Only the program's name with `--no-provenance`.
     pub(crate) command_line: String,
     messages: Arc<Messages>,
     json_emitted: AtomicBool,
+    /// The configuration file and the log file, which no output may replace.
+    own_files: Vec<PathBuf>,
+    /// An output goes to standard output, so that nothing else may.
+    stdout_is_output: AtomicBool,
+    /// A signal ended the work before all that was asked for was there.
+    cut_short: AtomicBool,
 }
 
 /// Where messages go: those of the verbs, and those that libraries say through the `log` crate.
@@ -62,15 +72,11 @@ impl log::Log for LibraryMessages {
 
 #[allow(dead_code, reason = "what verbs may need, whether or not one needs it now")]
 impl Context {
-    /// The context of a run with `options`, called with the arguments `argv`.
+    /// The context of a run with `options`, called with the arguments `argv`, of which `paths` are names of files.
     ///
     /// # Errors
-    /// The log file cannot be opened.
-    pub(crate) fn new(options: &GlobalOptions, argv: &[OsString]) -> anyhow::Result<Self> {
-        let open = |path: &std::path::PathBuf| {
-            let file = File::options().create(true).append(true).open(path);
-            file.with_context(|| format!("cannot write the log file {}", path.display()))
-        };
+    /// The log file cannot be opened, or is none.
+    pub(crate) fn new(options: &GlobalOptions, argv: &[OsString], paths: &[OsString]) -> anyhow::Result<Self> {
         let hidden = options.quiet || !io::stderr().is_terminal();
         let messages = Arc::new(Messages {
             quiet: options.quiet,
@@ -79,7 +85,7 @@ impl Context {
                 true => ProgressDrawTarget::hidden(),
                 false => ProgressDrawTarget::stderr(),
             }),
-            log: options.log_file.as_ref().map(open).transpose()?.map(Mutex::new),
+            log: options.log_file.as_deref().map(open_log).transpose()?.map(Mutex::new),
             start: Instant::now(),
             warnings: Mutex::default(),
         });
@@ -90,9 +96,12 @@ impl Context {
             json: options.json,
             quiet: options.quiet,
             verbosity: options.verbose,
-            command_line: quote(argv),
+            command_line: if options.no_provenance { "translume".into() } else { quote(argv, paths) },
             messages,
             json_emitted: AtomicBool::new(false),
+            own_files: [&options.config, &options.log_file].into_iter().flatten().cloned().collect(),
+            stdout_is_output: AtomicBool::new(false),
+            cut_short: AtomicBool::new(false),
         };
         context.log("start", &format!("{} ({})", context.command_line, env!("CARGO_PKG_VERSION")));
         Ok(context)
@@ -129,7 +138,72 @@ impl Context {
 
     /// The result as text, on standard output; nothing with `--json`. A final line end is added.
     pub(crate) fn text(&self, text: impl Display) -> anyhow::Result<()> {
+        if self.stdout_is_output.load(Ordering::Relaxed) {
+            self.note(text);
+            return Ok(());
+        }
         if self.json { Ok(()) } else { print(&format!("{text}\n")) }
+    }
+
+    /// Before the work: every one of `outputs` can be written, none of them is one of `inputs` (or within one that is a
+    /// folder), and no two of them are one file.
+    ///
+    /// # Errors
+    /// Says which.
+    pub(crate) fn claim(&self, inputs: &[&Path], outputs: &[&Path]) -> anyhow::Result<()> {
+        self.protect(inputs, outputs)?;
+        for output in outputs {
+            match atomic::place(output)? {
+                Place::Stream(Stream::Stdout) if self.json => {
+                    return Err(Usage(format!("{}: --json needs standard output itself", output.display())).into());
+                }
+                Place::Stream(Stream::Stdout) => self.stdout_is_output.store(true, Ordering::Relaxed),
+                _ => atomic::check_writable(output)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Before the work: none of `outputs`, files or folders, is one of `inputs` or within one that is a folder, and no two
+    /// of them are one.
+    ///
+    /// # Errors
+    /// Says which.
+    pub(crate) fn protect(&self, inputs: &[&Path], outputs: &[&Path]) -> anyhow::Result<()> {
+        for (i, output) in outputs.iter().enumerate() {
+            let own = self.own_files.iter().map(PathBuf::as_path);
+            if let Some(input) = inputs.iter().copied().chain(own).find(|input| endangers(output, input)) {
+                let which = if *output == input { String::new() } else { format!(" ({})", input.display()) };
+                let what = "it is also read, and would be lost; give another output";
+                return Err(Usage(format!("{}{which}: {what}", output.display())).into());
+            }
+            if let Some(other) = outputs[..i].iter().find(|o| atomic::same_file(o, output)) {
+                let (a, b) = (other.display(), output.display());
+                return Err(Usage(format!("{a} and {b} are one file, but two outputs")).into());
+            }
+        }
+        Ok(())
+    }
+
+    /// Says that a signal ended the work before all that was asked for was there, though what there was is kept.
+    pub(crate) fn cut_short(&self) {
+        self.cut_short.store(true, Ordering::Relaxed);
+    }
+
+    /// Exit status of a run without an error.
+    pub(crate) fn exit_status(&self) -> u8 {
+        if self.cut_short.load(Ordering::Relaxed) { signals::status().unwrap_or(FAILED) } else { 0 }
+    }
+
+    /// Whether the result of `--json` is out.
+    pub(crate) fn has_emitted(&self) -> bool {
+        self.json_emitted.load(Ordering::Relaxed)
+    }
+
+    /// Ends a verb that wrote something, in one line of one form for all: `OUTPUT: what it is`, on standard output. Nothing
+    /// with `--quiet`.
+    pub(crate) fn done(&self, output: &Path, what: impl Display) -> anyhow::Result<()> {
+        if self.quiet { Ok(()) } else { self.text(format_args!("{}: {what}", output.display())) }
     }
 
     /// The result as one JSON object, on standard output; nothing without `--json`. Called once in a run. The run's
@@ -164,6 +238,27 @@ impl Context {
     }
 }
 
+/// Opens a log file to append to. Anything else that is there is not a log, and stays as it is.
+fn open_log(path: &Path) -> anyhow::Result<File> {
+    let cannot = || format!("cannot write the log file {}", path.display());
+    if std::fs::metadata(path).is_ok_and(|m| m.is_file()) {
+        let mut start = [0; 64];
+        let read = File::open(path).and_then(|mut f| f.read(&mut start)).with_context(cannot)?;
+        let start = start[..read].trim_ascii_start();
+        let time = start.iter().take_while(|b| b.is_ascii_digit() || **b == b'.').count();
+        if !start.is_empty() && (time == 0 || start.get(time) != Some(&b' ')) {
+            return Err(Usage(format!("{}: it exists and is no log file", path.display())).into());
+        }
+    }
+    File::options().create(true).append(true).open(path).with_context(cannot)
+}
+
+/// Whether writing `output` would change `input`: they are one, or the output is there already within a folder.
+fn endangers(output: &Path, input: &Path) -> bool {
+    let within = || Some(std::fs::canonicalize(output).ok()?.starts_with(std::fs::canonicalize(input).ok()?));
+    atomic::same_file(output, input) && !atomic::is_stream(output) || input.is_dir() && within() == Some(true)
+}
+
 impl Messages {
     fn log(&self, level: &str, message: &str) {
         if let Some(log) = &self.log {
@@ -176,6 +271,7 @@ impl Messages {
     fn say(&self, level: &str, shown: bool, message: &str) {
         self.log(level, message);
         if shown {
+            let message = flatten_lines(message);
             let prefix = if level == "warning" { "translume: warning: " } else { "" };
             self.bars.suspend(|| writeln!(io::stderr(), "{prefix}{message}").ok());
         }
@@ -192,52 +288,47 @@ impl Messages {
     }
 }
 
-/// What Ctrl-C sets, for work to end early and keep what there is; a second Ctrl-C ends the program at once. Once a process.
-pub(crate) fn stop_on_ctrl_c() -> anyhow::Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let handler = stop.clone();
-    ctrlc::set_handler(move || {
-        if handler.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })
-    .context("cannot listen for Ctrl-C")?;
-    Ok(stop)
-}
-
 /// Writes `text` to standard output at once.
 pub(crate) fn print(text: &str) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).context("cannot write to standard output")
 }
 
-/// Tells why the run ended, in one line on standard error (help that was asked for: on standard output), and returns
-/// the exit status. A reader of our output that went away, as `head` does, is no failure.
-pub(crate) fn report(error: &anyhow::Error) -> u8 {
+/// Tells why the run ended, in one line on standard error (help that was asked for: on standard output) and, with `json`, in
+/// an object on standard output, and returns the exit status. A reader of our output that went away, as `head` does, is no
+/// failure.
+pub(crate) fn report(error: &anyhow::Error, json: bool) -> u8 {
     let causes = || error.chain();
     if causes().any(|c| c.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe)) {
         return 0;
     }
-    if let Some(error) = error.downcast_ref::<clap::Error>() {
-        return report_usage(error);
+    let (message, status) = match error.downcast_ref::<clap::Error>() {
+        Some(error) if is_help(error) => return print_help(error),
+        Some(error) => (usage_line(error), WRONG_USAGE),
+        None if causes().any(|c| c.is::<Usage>()) => (one_line(error), WRONG_USAGE),
+        None => (one_line(error), signals::status().unwrap_or(FAILED)),
+    };
+    complain(&message);
+    if json {
+        let warnings = MESSAGES.get().map(|m| m.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone());
+        let object = serde_json::json!({ "error": message, "status": status, "warnings": warnings.unwrap_or_default() });
+        // The line on standard error has said it all.
+        let _ = print(&format!("{object}\n"));
     }
-    complain(&one_line(error));
-    if causes().any(|c| c.is::<Usage>()) { WRONG_USAGE } else { FAILED }
+    status
 }
 
-/// clap's answer: help and version as they are, a mistake in one line.
-fn report_usage(error: &clap::Error) -> u8 {
-    use clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
-    if !error.use_stderr() || error.kind() == DisplayHelpOnMissingArgumentOrSubcommand {
-        let printed = error.print();
-        return match printed {
-            Err(e) if e.kind() != ErrorKind::BrokenPipe => FAILED,
-            _ if error.use_stderr() => WRONG_USAGE,
-            _ => 0,
-        };
+/// Whether clap answers with help or the version, asked for or for want of a verb.
+fn is_help(error: &clap::Error) -> bool {
+    !error.use_stderr() || error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+}
+
+fn print_help(error: &clap::Error) -> u8 {
+    match error.print() {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => FAILED,
+        _ if error.use_stderr() => WRONG_USAGE,
+        _ => 0,
     }
-    complain(&usage_line(error));
-    WRONG_USAGE
 }
 
 /// clap's description of a mistake in one line, with the verb to ask for help.
@@ -272,22 +363,39 @@ pub(crate) fn one_line(error: &anyhow::Error) -> String {
     line
 }
 
-/// `text` with every run of white space, line ends included, as one space.
+/// `text` with every run of white space, line ends included, as one space, and without what a terminal would obey: names of
+/// files and words in them are not ours.
 fn flatten(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+    let shown: String = text.chars().map(|c| if c.is_control() && !c.is_whitespace() { '\u{fffd}' } else { c }).collect();
+    shown.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The arguments as a shell would take them, the program by its bare name.
-fn quote(argv: &[OsString]) -> String {
+/// The same line by line.
+fn flatten_lines(text: &str) -> String {
+    let clean = |c: char| if c.is_control() && c != '\n' && c != '\t' { '\u{fffd}' } else { c };
+    text.chars().map(clean).collect()
+}
+
+/// The arguments as a shell would take them, the program by its bare name and `paths` without their directories, which are
+/// nobody's business where a result goes.
+fn quote(argv: &[OsString], paths: &[OsString]) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
     let quoted = argv.iter().skip(1).map(|argument| {
-        let argument = argument.to_string_lossy();
+        let argument = without_directories(&argument.to_string_lossy(), paths);
         match !argument.is_empty() && argument.chars().all(plain) {
-            true => argument.into_owned(),
+            true => argument,
             false => format!("'{}'", argument.replace('\'', r"'\''")),
         }
     });
     std::iter::once("translume".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
+}
+
+/// An argument, `--option=VALUE` or `-oVALUE` too, whose value is one of `paths`.
+fn without_directories(argument: &str, paths: &[OsString]) -> String {
+    let path = paths.iter().filter_map(|p| p.to_str()).filter(|p| !p.is_empty() && argument.ends_with(*p));
+    let Some(path) = path.max_by_key(|p| p.len()) else { return argument.to_owned() };
+    let name = Path::new(path).file_name().map_or(path.into(), |n| n.to_string_lossy());
+    format!("{}{name}", &argument[..argument.len() - path.len()])
 }
 
 /// Makes a panic, which is always a bug of this program, one line that asks for a report.
@@ -317,6 +425,14 @@ mod tests {
     #[test]
     fn arguments_are_quoted_for_a_shell() {
         let argv = ["/usr/bin/translume", "man", "a b", "it's", "", "--x=1.5"].map(OsString::from);
-        assert_eq!(quote(&argv), r"translume man 'a b' 'it'\''s' '' --x=1.5");
+        assert_eq!(quote(&argv, &[]), r"translume man 'a b' 'it'\''s' '' --x=1.5");
+    }
+
+    #[test]
+    fn provenance_names_files_without_directories() {
+        let argv = ["translume", "hdr", "/home/me/a.jpg", "--list=b/c.txt", "-oout/x.exr", "--exposures", "1/60,1/15"];
+        let paths = ["/home/me/a.jpg", "b/c.txt", "out/x.exr"].map(OsString::from);
+        let wanted = "translume hdr a.jpg --list=c.txt -ox.exr --exposures 1/60,1/15";
+        assert_eq!(quote(&argv.map(OsString::from), &paths), wanted);
     }
 }

@@ -57,6 +57,9 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     if !(args.white > 0.0 && args.white.is_finite()) {
         return Err(Usage("--white must be a positive luminance".into()).into());
     }
+    if let Some(folder) = &args.report {
+        ctx.protect(&[&args.reference, &args.test], &[folder])?;
+    }
     let mut pictures = [read_picture(&args.reference)?, read_picture(&args.test)?];
     let mut non_finite = [0, 0];
     for (i, path) in [&args.reference, &args.test].into_iter().enumerate() {

@@ -38,13 +38,14 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    super::image::wants_exr(&args.output)?;
+    super::target::wants(&args.output, "exr", "clean picture")?;
+    ctx.claim(&[&args.image], &[&args.output])?;
     let planes = read_exr_channels(&args.image, 0)?;
     let named: Vec<(&str, &[f32])> = planes.planes.iter().map(|(name, plane)| (&name[..], &plane[..])).collect();
     let params = DenoiseParams { radius: args.radius as usize, strength: args.strength };
     write(&args.output, (planes.width, planes.height), &named, &params, ctx)
         .map_err(|e| anyhow!("{}: {e}", args.image.display()))?;
-    ctx.note(format!("{}: {} × {}", args.output.display(), planes.width, planes.height));
+    ctx.done(&args.output, format_args!("{} × {} pixels", planes.width, planes.height))?;
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "size": [planes.width, planes.height] }))
 }
 

@@ -1,15 +1,15 @@
 //! `translume image`: what a picture file holds, conversion between formats and colour spaces, tone mapping.
 
+use super::target::{Kind, save_display};
 use crate::cli::Usage;
 use crate::output::Context;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use translume_image::colour::Space;
-use translume_image::tonemap::{self, Display, FattalParams, ReinhardParams};
+use translume_image::tonemap::{self, FattalParams, ReinhardParams};
 use translume_image::{
     ExrCompression, ExrOptions, ExrPart, Format, Precision, Samples, read_codes, read_exr_parts, read_layer,
-    read_picture, write_exr, write_hdr, write_pfm, write_png8, write_png16, write_tiff_float, write_tiff8,
-    write_tiff16,
+    read_picture, write_exr, write_hdr, write_pfm, write_tiff_float,
 };
 
 const INFO_EXAMPLES: &str = "\
@@ -65,8 +65,8 @@ pub(crate) struct InfoArgs {
 
 /// Convert a picture to another format or colour space
 ///
-/// The format follows from the name of the output: .exr, .hdr, .pfm and .tif hold linear light; .png (and .tif with
-/// --bits 16) hold sRGB clipped to [0, 1].
+/// The format follows from the name of the output: .exr, .hdr, .pfm and .tif hold linear light; .png, .jpg (and .tif with
+/// --bits) hold sRGB clipped to [0, 1]. Pipes and /dev/stdout get OpenEXR.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = CONVERT_EXAMPLES)]
 pub(crate) struct ConvertArgs {
@@ -101,7 +101,7 @@ pub(crate) struct ConvertArgs {
 pub(crate) struct TonemapArgs {
     /// Picture (OpenEXR, Radiance, PFM, PNG, JPEG, TIFF)
     image: PathBuf,
-    /// Output file (.png, or .tif with 16 bits)
+    /// Output file (.png, .tif or .jpg)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// reinhard: one curve for all pixels; fattal: compresses large gradients, keeps small ones; exposure: clips
@@ -132,11 +132,6 @@ pub(crate) struct TonemapArgs {
 
 fn bits(text: &str) -> Result<u8, String> {
     text.parse().ok().filter(|b| [8, 16].contains(b)).ok_or_else(|| "it is 8 or 16".to_owned())
-}
-
-/// Refuses an output that is not named .exr.
-pub(super) fn wants_exr(path: &Path) -> Result<(), Usage> {
-    if extension(path) == "exr" { Ok(()) } else { Err(Usage(format!("{}: the picture must be .exr", path.display()))) }
 }
 
 pub(super) fn positive(text: &str) -> Result<f32, String> {
@@ -227,16 +222,18 @@ fn part_object(part: &ExrPart) -> Value {
 }
 
 fn convert(args: ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
-    let kind = extension(&args.output);
+    let output = args.output.as_path();
+    let kind = Kind::of(output, &[Kind::Exr, Kind::Hdr, Kind::Pfm, Kind::Tiff, Kind::Png, Kind::Jpeg], "picture")?;
+    ctx.claim(&[&args.image], &[output])?;
     let space = Space::named(&args.output_space).expect("clap lets only these pass");
-    if !["exr", "hdr"].contains(&kind.as_str()) && args.output_space != "rec709" {
+    if ![Kind::Exr, Kind::Hdr].contains(&kind) && args.output_space != "rec709" {
         return Err(Usage(format!("{}: only .exr and .hdr say their primaries", args.output.display())).into());
     }
     let exr_only = args.precision.is_some() || args.compression.is_some();
-    if exr_only && kind != "exr" {
+    if exr_only && kind != Kind::Exr {
         return Err(Usage(format!("{}: --precision and --compression are for .exr", args.output.display())).into());
     }
-    if args.bits.is_some() && !["png", "tif", "tiff"].contains(&kind.as_str()) {
+    if args.bits.is_some() && ![Kind::Png, Kind::Tiff].contains(&kind) {
         return Err(Usage(format!("{}: --bits is for .png and .tif", args.output.display())).into());
     }
     let mut picture = match &args.layer {
@@ -250,22 +247,17 @@ fn convert(args: ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
     if args.ev != 0.0 {
         picture.pixels.iter_mut().for_each(|v| *v *= args.ev.exp2());
     }
-    if picture.alpha.is_some() && kind != "exr" {
+    if picture.alpha.is_some() && kind != Kind::Exr {
         ctx.warn(format_args!("{}: transparency is left out", args.output.display()));
     }
     let picture = picture.into_space(&space);
-    let output = args.output.as_path();
-    match (kind.as_str(), args.bits) {
-        ("exr", _) => write_exr(output, &picture, &exr_options(&args, ctx))?,
-        ("hdr", _) => write_hdr(output, &picture)?,
-        ("pfm", _) => write_pfm(output, &picture)?,
-        ("tif" | "tiff", None) => write_tiff_float(output, &picture)?,
-        ("png" | "tif" | "tiff", bits) => {
-            save(&tonemap::exposure_gamma(&picture, 0.0, None), output, bits.unwrap_or(8))?;
-        }
-        _ => {
-            let wanted = "name the output .exr, .hdr, .pfm, .tif or .png";
-            return Err(Usage(format!("{}: {wanted}", output.display())).into());
+    match (kind, args.bits) {
+        (Kind::Exr, _) => write_exr(output, &picture, &exr_options(&args, ctx))?,
+        (Kind::Hdr, _) => write_hdr(output, &picture)?,
+        (Kind::Pfm, _) => write_pfm(output, &picture)?,
+        (Kind::Tiff, None) => write_tiff_float(output, &picture)?,
+        (Kind::Png | Kind::Jpeg | Kind::Tiff, bits) => {
+            save_display(&tonemap::exposure_gamma(&picture, 0.0, None), output, kind, bits.unwrap_or(8))?;
         }
     }
     written(ctx, output, picture.pixels.dimensions())
@@ -298,9 +290,11 @@ fn tone_map(args: &TonemapArgs, ctx: &Context) -> anyhow::Result<()> {
     if let Some((name, ..)) = given.iter().find(|(_, given, of)| *given && !of.contains(&args.operator.as_str())) {
         return Err(Usage(format!("--{name} is no option of the operator {}", args.operator)).into());
     }
-    if !["png", "tif", "tiff"].contains(&extension(&args.output).as_str()) {
-        return Err(Usage(format!("{}: name the output .png or .tif", args.output.display())).into());
+    let kind = Kind::of(&args.output, &[Kind::Png, Kind::Tiff, Kind::Jpeg], "picture for a display")?;
+    if kind == Kind::Jpeg && args.bits == 16 {
+        return Err(Usage(format!("{}: --bits 16 is for .png and .tif", args.output.display())).into());
     }
+    ctx.claim(&[&args.image], &[&args.output])?;
     let picture = read_picture(&args.image)?;
     let ev = args.ev.unwrap_or(0.0);
     let shown = match args.operator.as_str() {
@@ -317,27 +311,11 @@ fn tone_map(args: &TonemapArgs, ctx: &Context) -> anyhow::Result<()> {
             tonemap::reinhard_global(&picture, &ReinhardParams { key, white: args.white })
         }
     };
-    save(&shown, &args.output, args.bits)?;
+    save_display(&shown, &args.output, kind, args.bits)?;
     written(ctx, &args.output, picture.pixels.dimensions())
 }
 
-/// Writes display values as PNG or TIFF, by the name.
-fn save(shown: &Display, path: &Path, bits: u8) -> anyhow::Result<()> {
-    let size = (shown.width, shown.height);
-    match (extension(path).as_str(), bits) {
-        ("png", 8) => write_png8(path, size, &shown.to_u8())?,
-        ("png", _) => write_png16(path, size, &shown.to_u16())?,
-        (_, 8) => write_tiff8(path, size, &shown.to_u8())?,
-        _ => write_tiff16(path, size, &shown.to_u16())?,
-    }
-    Ok(())
-}
-
-fn extension(path: &Path) -> String {
-    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
-}
-
 fn written(ctx: &Context, output: &Path, (width, height): (u32, u32)) -> anyhow::Result<()> {
-    ctx.note(format_args!("{width} × {height} pixels in {}", output.display()));
+    ctx.done(output, format_args!("{width} × {height} pixels"))?;
     ctx.emit_json(json!({ "output": output.to_string_lossy(), "width": width, "height": height }))
 }

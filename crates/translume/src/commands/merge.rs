@@ -1,6 +1,5 @@
 //! `translume merge`: independent renders become one.
 
-use crate::cli::Usage;
 use crate::output::Context;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -30,9 +29,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
-    if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr")) {
-        return Err(Usage(format!("{}: the result must be .exr", args.output.display())).into());
-    }
+    super::target::wants(&args.output, "exr", "result")?;
+    let inputs: Vec<&Path> = args.inputs.iter().map(PathBuf::as_path).collect();
+    ctx.claim(&inputs, &[&args.output])?;
     let mut renders: Vec<(String, Channels)> = Vec::new();
     let (mut size, mut seeds) = (None, Vec::new());
     for path in &args.inputs {
@@ -64,7 +63,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     write_exr_channels(&args.output, size.unwrap_or_default(), &channels, &options)?;
     let samples =
         merged.iter().find(|c| c.0 == merge::WEIGHT).map_or(0.0, |c| c.1.iter().copied().fold(f32::MAX, f32::min));
-    ctx.note(format!("{}: {samples} samples per pixel", args.output.display()));
+    ctx.done(&args.output, format_args!("{samples} samples per pixel from {} renders", args.inputs.len()))?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(),
         "inputs": args.inputs.len(),

@@ -209,6 +209,7 @@ fn convert(args: &ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
     if args.scale == 0.0 || !args.scale.is_finite() {
         return Err(Usage(format!("--scale {}: it must be finite and not 0", args.scale)).into());
     }
+    ctx.claim(&[&args.input], &[&args.output])?;
     let mut mesh = merged(&args.input, load(&args.input, args.part, ctx)?)?;
     if args.scale != 1.0 {
         mesh.transform(&translume_mesh::glam::DAffine3::from_scale(translume_mesh::glam::DVec3::splat(args.scale)));
@@ -220,6 +221,6 @@ fn convert(args: &ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
         write(&mesh, out).and_then(|()| out.flush()).map_err(|e| translume_image::Error::io(&args.output, e))
     })?;
     let (vertices, triangles) = (mesh.positions.len(), mesh.indices.len());
-    ctx.note(format!("{}: {vertices} vertices, {triangles} triangles", args.output.display()));
+    ctx.done(&args.output, format_args!("{vertices} vertices, {triangles} triangles"))?;
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "vertices": vertices, "triangles": triangles }))
 }

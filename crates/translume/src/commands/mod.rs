@@ -21,6 +21,7 @@ mod pictures;
 mod render;
 mod scatter;
 mod scene;
+mod target;
 
 use crate::output::Context;
 

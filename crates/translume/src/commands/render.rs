@@ -2,7 +2,8 @@
 
 use super::camera_path;
 use crate::cli::Usage;
-use crate::output::{self, Context};
+use crate::output::Context;
+use crate::signals;
 use anyhow::{Context as _, anyhow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -189,7 +190,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     if shots.len() > 1 {
         integrator.prepare_views(&shots);
     }
-    let stop = output::stop_on_ctrl_c()?;
+    let stop = signals::stop_flag();
     let mut frames = Vec::new();
     for (number, shot) in shots.iter().enumerate() {
         let mut film = shot.film(&aovs)?;

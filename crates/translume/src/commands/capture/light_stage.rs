@@ -1,7 +1,8 @@
 //! `translume capture light-stage`.
 
 use super::super::render::{parse_define, parse_size};
-use crate::output::{self, Context};
+use crate::output::Context;
+use crate::signals;
 use anyhow::{Context as _, anyhow, bail};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -216,7 +217,7 @@ impl<'a> Stage<'a> {
         ctx: &Context,
     ) -> anyhow::Result<(u64, f64)> {
         let begun = Instant::now();
-        let stop = output::stop_on_ctrl_c()?;
+        let stop = signals::stop_flag();
         let clamp = self.args.clamp.unwrap_or(f32::INFINITY);
         let params = Params { settings: *settings, samples: self.args.spp, clamp };
         let method = integrator::Path::new(*settings);

@@ -43,6 +43,9 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let bytes = std::fs::metadata(&args.field)?.len();
     let mut stack = args.source.open()?;
     let bar = ctx.progress(stack.shots.len() as u64, "comparing");
+    if let Some(folder) = &args.report {
+        ctx.protect(&args.source.files(&stack).into_iter().chain([&*args.field]).collect::<Vec<_>>(), &[folder])?;
+    }
     let own = measure::is_own(&field, &stack);
     let errors = measure::compare(&field, &mut stack, &|| bar.inc(1))?;
     for warning in &stack.warnings {

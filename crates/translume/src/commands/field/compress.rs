@@ -4,7 +4,7 @@ use crate::cli::Usage;
 use crate::output::Context;
 use clap::ValueEnum;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 use translume_field::{Domain, Model, Params, Rate, compress, file, texture::Codec, tiles::Tiling};
 
@@ -242,9 +242,11 @@ impl Args {
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = args.params()?;
-    prepare(&args.output)?;
+    super::super::target::wants(&args.output, "glb", "field")?;
+    ctx.claim(&[], &[&args.output])?;
     let start = std::time::Instant::now();
     let mut stack = args.source.open()?;
+    ctx.protect(&args.source.files(&stack), &[&args.output])?;
     let bar = ctx.progress(stack.shots.len() as u64, "reading");
     let phase = Mutex::new(String::new());
     let progress = |what: &str| {
@@ -262,31 +264,21 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }
     file::write(&args.output, &field, &ctx.command_line, args.bytes.map(|b| b as usize))?;
     bar.finish_and_clear();
-    let bytes = std::fs::metadata(&args.output)?.len();
+    let bytes = super::bytes_of(&args.output, &field)?;
     let mut object = super::describe(&field, bytes);
     let secs = start.elapsed().as_secs_f64();
     object["output"] = json!(args.output);
     object["warnings"] = json!(stack.warnings);
     object["seconds"] = json!(secs);
-    ctx.text(format_args!(
-        "{}: {} pictures of {} × {} in {} layers, {bytes} bytes, {secs:.1} s",
-        args.output.display(),
-        stack.shots.len(),
-        field.width,
-        field.height,
-        field.layers.len()
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "{} pictures of {} × {} in {} layers, {bytes} bytes, {secs:.1} s",
+            stack.shots.len(),
+            field.width,
+            field.height,
+            field.layers.len()
+        ),
+    )?;
     ctx.emit_json(object)
-}
-
-/// Finds out, before the work is done, whether there is a place for the result.
-pub(super) fn prepare(output: &Path) -> anyhow::Result<()> {
-    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if output.is_dir() {
-        anyhow::bail!("{}: is a folder; give the name of a file", output.display());
-    }
-    if !folder.is_dir() {
-        anyhow::bail!("{}: its folder does not exist", output.display());
-    }
-    Ok(())
 }

@@ -131,21 +131,18 @@ fn ball(text: &str) -> Result<Ball, String> {
 }
 
 pub(super) fn import(args: &ImportArgs, ctx: &Context) -> anyhow::Result<()> {
-    super::compress::prepare(&args.output)?;
+    super::super::target::wants(&args.output, "glb", "field")?;
+    ctx.claim(&[&args.folder], &[&args.output])?;
     let field = relightlab::import(&args.folder)?;
     file::write(&args.output, &field, &ctx.command_line, None)?;
-    let bytes = std::fs::metadata(&args.output)?.len();
-    ctx.text(format_args!(
-        "{}: {} × {}, {} planes, {bytes} bytes",
-        args.output.display(),
-        field.width,
-        field.height,
-        3 * field.layers.len()
-    ))?;
+    let bytes = super::bytes_of(&args.output, &field)?;
+    let planes = 3 * field.layers.len();
+    ctx.done(&args.output, format_args!("{} × {}, {planes} planes, {bytes} bytes", field.width, field.height))?;
     ctx.emit_json(super::describe(&field, bytes))
 }
 
 pub(super) fn export(args: &ExportArgs, ctx: &Context) -> anyhow::Result<()> {
+    ctx.protect(&[&args.field], &[&args.relight])?;
     let field = file::read(&args.field)?;
     let basis = match args.basis {
         BasisName::Ptm => Basis::Ptm,
@@ -153,17 +150,19 @@ pub(super) fn export(args: &ExportArgs, ctx: &Context) -> anyhow::Result<()> {
         BasisName::Hsh4 => Basis::Hsh4,
     };
     let rms = relightlab::export(&field, basis, &args.relight, args.quality)?;
-    ctx.text(format_args!(
-        "{}: {} planes; the basis is off by up to {rms:.4} (RMS of a picture on a display)",
-        args.relight.display(),
-        3 * basis.terms()
-    ))?;
+    let planes = 3 * basis.terms();
+    ctx.done(&args.relight, format_args!("{planes} planes; the basis is off by up to {rms:.4} (RMS on a display)"))?;
     ctx.emit_json(json!({ "folder": args.relight, "planes": 3 * basis.terms(), "worst_rms": rms }))
 }
 
 pub(super) fn lights(args: &LightsArgs, ctx: &Context) -> anyhow::Result<()> {
-    super::compress::prepare(&args.output)?;
     let is_csv = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    if !is_csv {
+        super::super::target::wants(&args.output, "lp", "list")?;
+    }
+    ctx.claim(&[], &[&args.output])?;
+    let listed = args.lights.iter().map(std::path::PathBuf::as_path).collect::<Vec<_>>();
+    ctx.protect(&listed, &[&args.output])?;
     if args.strengths && !is_csv {
         return Err(Usage("--strengths: an .lp file cannot hold them; give an output that ends in .csv".into()).into());
     }
@@ -188,7 +187,7 @@ pub(super) fn lights(args: &LightsArgs, ctx: &Context) -> anyhow::Result<()> {
     atomic::write_bytes(&args.output, text.as_bytes())?;
     let range = strengths.iter().fold((f32::INFINITY, 0.0f32), |(l, h), s| (l.min(s / mean), h.max(s / mean)));
     let what = if is_csv { format!(", strengths from {:.2} to {:.2}", range.0, range.1) } else { String::new() };
-    ctx.text(format_args!("{}: {} directions{what}", args.output.display(), shots.len()))?;
+    ctx.done(&args.output, format_args!("{} directions{what}", shots.len()))?;
     let list = shots
         .iter()
         .zip(&strengths)

@@ -7,7 +7,7 @@ mod relight;
 
 use crate::output::Context;
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use translume_field::{Angular, Domain, Field, Source, Stack, file, sphere::Kernel};
 
 /// Where the pictures and their lights are.
@@ -32,6 +32,11 @@ impl StackArgs {
     fn open(&self) -> translume_field::Result<Stack> {
         let source = Source { list: self.lights.clone(), names: self.names.clone(), linear: self.linear_codes };
         Stack::open_as(&self.stack, &source)
+    }
+
+    /// What is read of `stack`, for outputs to stay away from.
+    fn files<'a>(&'a self, stack: &'a Stack) -> Vec<&'a Path> {
+        stack.shots.iter().map(|s| &s.path).chain(&self.lights).map(PathBuf::as_path).collect()
     }
 }
 
@@ -121,6 +126,12 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
     }
     ctx.text(lines.join("\n"))?;
     ctx.emit_json(object)
+}
+
+/// Size of a written field; what a pipe took is not known, but for its textures.
+fn bytes_of(output: &Path, field: &Field) -> anyhow::Result<u64> {
+    let streamed = translume_image::atomic::is_stream(output);
+    Ok(if streamed { field.texture_bytes() as u64 } else { std::fs::metadata(output)?.len() })
 }
 
 /// What `--json` says of a field in a file of so many bytes.

@@ -1,8 +1,8 @@
 //! `translume field relight`.
 
+use super::super::target::Kind;
 use crate::cli::Usage;
 use crate::output::Context;
-use anyhow::bail;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use translume_field::{Relighter, environment, file, lights::normalised};
@@ -82,8 +82,9 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     if !(0.0..=180.0).contains(&args.size) {
         return Err(Usage("--size must lie between 0 and 180 degrees".into()).into());
     }
-    super::compress::prepare(&args.output)?;
-    writer(&args.output)?;
+    let kind = Kind::of(&args.output, &[Kind::Exr, Kind::Hdr, Kind::Pfm, Kind::Png], "picture")?;
+    let inputs: Vec<&Path> = std::iter::once(&args.field).chain(&args.env).map(std::path::PathBuf::as_path).collect();
+    ctx.claim(&inputs, &[&args.output])?;
     let field = file::read(&args.field)?;
     if args.view.is_some() && field.views().is_empty() {
         return Err(Usage("--view: all pictures of this field have one view".into()).into());
@@ -119,8 +120,11 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }
     let gain = args.ev.exp2();
     sum.iter_mut().for_each(|v| *v *= gain);
-    write(&args.output, sum, &field, ctx)?;
-    ctx.note(format_args!("{} written", args.output.display()));
+    write(&args.output, kind, sum, &field, ctx)?;
+    ctx.done(
+        &args.output,
+        format_args!("{} × {} pixels under {} directions", field.width, field.height, all.len()),
+    )?;
     ctx.emit_json(json!({
         "output": args.output,
         "width": field.width,
@@ -130,26 +134,18 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }))
 }
 
-fn writer(path: &Path) -> anyhow::Result<String> {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    if !["exr", "hdr", "pfm", "png"].contains(&ending.as_str()) {
-        bail!("{}: pictures are written as .exr, .hdr, .pfm or .png", path.display());
-    }
-    Ok(ending)
-}
-
-fn write(path: &Path, rgb: Vec<f32>, field: &translume_field::Field, ctx: &Context) -> anyhow::Result<()> {
+fn write(path: &Path, kind: Kind, rgb: Vec<f32>, field: &translume_field::Field, ctx: &Context) -> anyhow::Result<()> {
     let (w, h) = (field.width, field.height);
-    if writer(path)? == "png" {
+    if kind == Kind::Png {
         let code =
             |v: &f32| (translume_image::colour::linear_to_srgb(v / field.white).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         return Ok(write_png8(path, (w, h), &rgb.iter().map(code).collect::<Vec<_>>())?);
     }
     let pixels = Rgb32FImage::from_raw(w as u32, h as u32, rgb);
     let picture = Picture::new(pixels.ok_or_else(|| anyhow::anyhow!("{}: no pixels", path.display()))?);
-    match writer(path)?.as_str() {
-        "hdr" => write_hdr(path, &picture)?,
-        "pfm" => write_pfm(path, &picture)?,
+    match kind {
+        Kind::Hdr => write_hdr(path, &picture)?,
+        Kind::Pfm => write_pfm(path, &picture)?,
         _ => {
             let software = Some(format!("translume {}", env!("CARGO_PKG_VERSION")));
             let options = ExrOptions { software, command: Some(ctx.command_line.clone()), ..ExrOptions::default() };

@@ -3,6 +3,7 @@
 mod report;
 mod sets;
 
+use super::target::{Kind, save_display};
 use crate::cli::Usage;
 use crate::output::Context;
 use anyhow::{Context as _, bail};
@@ -11,7 +12,7 @@ use serde_json::{Value, json};
 use sets::Set;
 use std::path::{Path, PathBuf};
 use translume_hdr::{Alignment, Exposure, GhostParams, Merged, Noise, Params, Response, Weights, ghost_share};
-use translume_image::{ExrOptions, Metadata, Picture, Precision, colour, primaries, tonemap};
+use translume_image::{ExrOptions, Metadata, Picture, Precision, atomic, colour, primaries, tonemap};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -46,8 +47,8 @@ pub(crate) struct Args {
     /// Pictures of one bracket, or folders of brackets
     #[arg(value_name = "IMG", required = true, num_args = 1..)]
     inputs: Vec<PathBuf>,
-    /// The result: an OpenEXR file; a folder when there are several brackets
-    #[arg(short, long, value_name = "OUT.exr")]
+    /// The result: .exr, .hdr, .pfm or .tif (float); any other name is a folder, for OpenEXR files with the brackets' names
+    #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
     /// Exposure times in the order of the pictures: 1/30,1/8,0.5
@@ -97,7 +98,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "CD_M2", help_heading = "Method")]
     calibrate: Option<f64>,
 
-    /// Also write a tone-mapped picture [default name: that of the result with .png]
+    /// Also write a tone-mapped picture, .png, .jpg or .tif [default name: that of the result with .png]
     #[arg(long, value_name = "P.png", num_args = 0..=1, help_heading = "Outputs")]
     preview: Option<Option<PathBuf>>,
     /// Tone mapping of the preview
@@ -172,7 +173,7 @@ enum Space {
 
 /// Where the outputs of one bracket go.
 struct Targets {
-    exr: PathBuf,
+    picture: PathBuf,
     preview: Option<PathBuf>,
     mask: Option<PathBuf>,
     report: Option<PathBuf>,
@@ -182,11 +183,21 @@ struct Targets {
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(&args)?;
     let sets = sets::collect(&args)?;
+    let into_folder = names_folder(&args.output);
     if let [set] = &sets[..] {
-        let targets = targets(&args, None);
+        let targets = targets(&args, into_folder.then_some(&set.name));
+        check(&args, &sets, std::slice::from_ref(&targets), ctx)?;
+        if into_folder {
+            std::fs::create_dir_all(&args.output)
+                .with_context(|| format!("cannot create {}", args.output.display()))?;
+        }
         let summary = merge_one(&args, &params, set, &targets, ctx)?;
-        ctx.note(describe(&summary));
+        ctx.done(&targets.picture, describe(&summary))?;
         return ctx.emit_json(summary);
+    }
+    if !into_folder {
+        let n = sets.len();
+        return Err(Usage(format!("{n} brackets: -o names a folder ({}/)", args.output.display())).into());
     }
     run_batch(&args, &params, &sets, ctx)
 }
@@ -194,21 +205,20 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
 /// Several brackets: each into the output folder, a failure does not stop the others.
 fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyhow::Result<()> {
     let one_file = |p: &Option<Option<PathBuf>>| matches!(p, Some(Some(_)));
-    if one_file(&args.preview) || one_file(&args.mask) || args.output.extension().is_some_and(|e| e == "exr") {
-        let n = sets.len();
-        return Err(
-            Usage(format!("{n} brackets: -o names a folder, and --preview and --mask take no file name")).into()
-        );
+    if one_file(&args.preview) || one_file(&args.mask) {
+        return Err(Usage(format!("{} brackets: --preview and --mask take no file name", sets.len())).into());
     }
     if args.save_response.is_some() {
         return Err(Usage("--save-response needs a single bracket".into()).into());
     }
+    let all: Vec<Targets> = sets.iter().map(|set| targets(args, Some(&set.name))).collect();
+    check(args, sets, &all, ctx)?;
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot create {}", args.output.display()))?;
     let (mut merged, mut failed) = (Vec::new(), Vec::new());
-    for set in sets {
-        match merge_one(args, params, set, &targets(args, Some(&set.name)), ctx) {
+    for (set, targets) in sets.iter().zip(&all) {
+        match merge_one(args, params, set, targets, ctx) {
             Ok(summary) => {
-                ctx.note(describe(&summary));
+                ctx.note(format_args!("{}: {}", targets.picture.display(), describe(&summary)));
                 merged.push(summary);
             }
             Err(e) => {
@@ -218,7 +228,7 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
             }
         }
     }
-    ctx.note(format!("{} of {} brackets merged into {}", merged.len(), sets.len(), args.output.display()));
+    ctx.done(&args.output, format_args!("{} of {} brackets", merged.len(), sets.len()))?;
     let failures = failed.len();
     ctx.emit_json(json!({ "sets": merged, "failed": failed }))?;
     if failures > 0 {
@@ -227,13 +237,48 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
     Ok(())
 }
 
+/// Whether a result's name is a folder's: one that is there, or that ends in a slash, or that has no ending.
+fn names_folder(output: &Path) -> bool {
+    let slash = output.as_os_str().as_encoded_bytes().last().is_some_and(|&b| std::path::is_separator(char::from(b)));
+    output.is_dir() || !atomic::is_stream(output) && (slash || output.extension().is_none())
+}
+
+/// Formats of the result; what has only codes for a display is a preview.
+const RESULTS: [Kind; 4] = [Kind::Exr, Kind::Hdr, Kind::Pfm, Kind::Tiff];
+const PREVIEWS: [Kind; 3] = [Kind::Png, Kind::Jpeg, Kind::Tiff];
+
+/// Finds out, before the work is done, whether there is a place for the results, and that they replace none of the inputs.
+fn check(args: &Args, sets: &[Set], targets: &[Targets], ctx: &Context) -> anyhow::Result<()> {
+    let inputs = sets.iter().flat_map(|s| &s.files).chain(&args.list).chain(&args.response);
+    let inputs: Vec<&Path> = inputs.map(PathBuf::as_path).collect();
+    let mut files: Vec<&Path> = args.save_response.iter().map(PathBuf::as_path).collect();
+    for t in targets {
+        let kind = Kind::of(&t.picture, &RESULTS, "HDR picture")?;
+        if args.output_space != Space::Rec709 && ![Kind::Exr, Kind::Hdr].contains(&kind) {
+            return Err(Usage(format!("{}: only .exr and .hdr say their primaries", t.picture.display())).into());
+        }
+        t.preview.iter().try_for_each(|p| Kind::of(p, &PREVIEWS, "preview").map(drop))?;
+        t.mask.iter().try_for_each(|p| Kind::of(p, &[Kind::Png], "mask").map(drop))?;
+        files.extend(std::iter::once(&t.picture).chain(&t.preview).chain(&t.mask).map(PathBuf::as_path));
+        for folder in [&t.report, &t.fields].into_iter().flatten() {
+            // The nearest one that exists must be a folder, the rest can be made.
+            if folder.ancestors().find(|p| p.exists()).is_some_and(|p| !p.is_dir()) {
+                bail!("cannot create {}: a file is in the way", folder.display());
+            }
+        }
+    }
+    // A folder that is not there yet is made; what it would hold endangers nothing.
+    files.retain(|f| f.parent().is_none_or(|d| d.as_os_str().is_empty() || d.exists() || !names_folder(&args.output)));
+    ctx.claim(&inputs, &files)
+}
+
 fn targets(args: &Args, name: Option<&str>) -> Targets {
-    let exr = match name {
+    let picture = match name {
         None => args.output.clone(),
         Some(n) => args.output.join(format!("{n}.exr")),
     };
     let beside = |p: &Option<Option<PathBuf>>, ending: &str| {
-        p.as_ref().map(|given| given.clone().unwrap_or_else(|| exr.with_extension(ending)))
+        p.as_ref().map(|given| given.clone().unwrap_or_else(|| picture.with_extension(ending)))
     };
     let folder = |p: &Option<PathBuf>| p.as_ref().map(|d| name.map_or_else(|| d.clone(), |n| d.join(n)));
     Targets {
@@ -241,7 +286,7 @@ fn targets(args: &Args, name: Option<&str>) -> Targets {
         mask: beside(&args.mask, "mask.png"),
         report: folder(&args.report),
         fields: folder(&args.fields),
-        exr,
+        picture,
     }
 }
 
@@ -278,32 +323,12 @@ fn params(args: &Args) -> anyhow::Result<Params> {
     })
 }
 
-/// Finds out, before the work is done, whether there is a place for the results.
-fn prepare(targets: &Targets, save_response: Option<&Path>) -> anyhow::Result<()> {
-    let files = [Some(&*targets.exr), targets.preview.as_deref(), targets.mask.as_deref(), save_response];
-    for file in files.into_iter().flatten() {
-        let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if file.is_dir() || !folder.is_dir() {
-            let what = if file.is_dir() { "is a folder; give the name of a file" } else { "its folder does not exist" };
-            bail!("{}: {what}", file.display());
-        }
-    }
-    for folder in [&targets.report, &targets.fields].into_iter().flatten() {
-        // The nearest one that exists must be a folder, the rest can be made.
-        if folder.ancestors().find(|p| p.exists()).is_some_and(|p| !p.is_dir()) {
-            bail!("cannot create {}: a file is in the way", folder.display());
-        }
-    }
-    Ok(())
-}
-
 /// Reads, merges and writes one bracket; returns what `--json` prints.
 fn merge_one(args: &Args, params: &Params, set: &Set, targets: &Targets, ctx: &Context) -> anyhow::Result<Value> {
     if let Some(anchor) = args.anchor.filter(|a| *a >= set.files.len()) {
         let n = set.files.len();
         return Err(Usage(format!("--anchor {anchor}: {} has {n} pictures, counted from 0", set.name)).into());
     }
-    prepare(targets, args.save_response.as_deref())?;
     let bar = ctx.progress(set.files.len() as u64 * 2 + 5, &set.name);
     let start = std::time::Instant::now();
     let exposures = sets::read(set, args, &|name| {
@@ -398,14 +423,18 @@ fn write_outputs(
         Space::Rec2020 => Some(colour::Space::REC2020),
         Space::Acescg => Some(colour::Space::ACESCG),
     };
-    match space {
-        None => translume_image::write_exr(&targets.exr, picture, &options)?,
-        Some(space) => {
-            let mut converted = picture.clone();
-            transform(&mut converted.pixels, &colour::Space::REC709.to(&space));
-            converted.metadata.chromaticities = Some(space.chromaticities());
-            translume_image::write_exr(&targets.exr, &converted, &options)?;
-        }
+    let mut converted = None;
+    if let Some(space) = space {
+        let converted = converted.insert(picture.clone());
+        transform(&mut converted.pixels, &colour::Space::REC709.to(&space));
+        converted.metadata.chromaticities = Some(space.chromaticities());
+    }
+    let result = converted.as_ref().unwrap_or(picture);
+    match Kind::of(&targets.picture, &RESULTS, "HDR picture")? {
+        Kind::Hdr => translume_image::write_hdr(&targets.picture, result)?,
+        Kind::Pfm => translume_image::write_pfm(&targets.picture, result)?,
+        Kind::Tiff => translume_image::write_tiff_float(&targets.picture, result)?,
+        _ => translume_image::write_exr(&targets.picture, result, &options)?,
     }
     let size = (picture.pixels.width() as usize, picture.pixels.height() as usize);
     if let Some(path) = &targets.preview {
@@ -413,7 +442,7 @@ fn write_outputs(
             Tonemap::Reinhard => tonemap::reinhard_global(picture, &tonemap::ReinhardParams::default()),
             Tonemap::Fattal => tonemap::fattal(picture, &tonemap::FattalParams::default()),
         };
-        translume_image::write_png8(path, size, &display.to_u8())?;
+        save_display(&display, path, Kind::of(path, &PREVIEWS, "preview")?, 8)?;
     }
     if let Some(path) = &targets.mask {
         translume_image::write_gray_png(path, size, &ghost_mask(merged, size))?;
@@ -499,7 +528,7 @@ fn summary(set: &Set, exposures: &[Exposure], merged: &Merged, targets: &Targets
         merged.seconds.iter().map(|(name, s)| ((*name).to_owned(), json!(s))).collect();
     json!({
         "set": set.name,
-        "output": targets.exr,
+        "output": targets.picture,
         "width": w,
         "height": h,
         "anchor": merged.anchor,
@@ -512,15 +541,14 @@ fn summary(set: &Set, exposures: &[Exposure], merged: &Merged, targets: &Targets
     })
 }
 
-/// The same in a line for people.
+/// The same in words for people.
 fn describe(summary: &Value) -> String {
     let images = summary["images"].as_array().map_or(&[][..], Vec::as_slice);
     let most = images.iter().filter_map(|i| i["displacement_max_px"].as_f64()).fold(0.0, f64::max);
     let ghosts = images.iter().filter_map(|i| i["ghost_share"].as_f64()).fold(0.0, f64::max);
     let total: f64 = summary["seconds"].as_object().map_or(0.0, |s| s.values().filter_map(Value::as_f64).sum());
     format!(
-        "{}: {} pictures, anchor {}, moved by up to {most:.1} px, ghosts on up to {:.1} %, {total:.2} s",
-        summary["output"].as_str().unwrap_or_default(),
+        "{} pictures, anchor {}, moved by up to {most:.1} px, ghosts on up to {:.1} %, {total:.2} s",
         images.len(),
         summary["anchor"],
         100.0 * ghosts
