@@ -129,10 +129,9 @@ fn lrgb(files: &[Vec<u8>], range: &dyn Fn(usize) -> (f32, f32), width: usize) ->
 /// # Errors
 /// [`Error::Picture`] of writing; [`Error::Io`].
 pub fn export(field: &Field, basis: Basis, folder: &Path, quality: u8) -> Result<f64> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     let (planes, error) = coefficients(field, basis)?;
     let pixels = field.width * field.height;
-    let (mut scale, mut bias) = (Vec::new(), Vec::new());
+    let (mut scale, mut bias, mut files) = (Vec::new(), Vec::new(), Vec::new());
     for (i, rgb) in planes.chunks(3 * pixels).enumerate() {
         let channels: Vec<&[f32]> = rgb.chunks(pixels).collect();
         let texture = Texture::encode(Codec::Rgb8, &channels, field.width)?;
@@ -141,7 +140,7 @@ pub fn export(field: &Field, basis: Basis, folder: &Path, quality: u8) -> Result
             scale.push(range);
             bias.push(-texture.low[c] / range);
         }
-        write_jpeg(&folder.join(format!("plane_{i}.jpg")), (field.width, field.height), &texture.data, quality)?;
+        files.push((format!("plane_{i}.jpg"), texture.data));
     }
     let info = json!({
         "width": field.width,
@@ -153,9 +152,19 @@ pub fn export(field: &Field, basis: Basis, folder: &Path, quality: u8) -> Result
         "quality": quality,
         "materials": [{ "scale": scale, "bias": bias }],
     });
-    // Last, so that a folder with it is complete.
-    atomic::write_bytes(&folder.join("info.json"), info.to_string().as_bytes())?;
+    atomic::write_folder(folder, is_own, |new| {
+        for (name, codes) in &files {
+            write_jpeg(&new.join(name), (field.width, field.height), codes, quality)?;
+        }
+        atomic::write_bytes(&new.join("info.json"), info.to_string().as_bytes())
+    })?;
     Ok(error)
+}
+
+/// Names of files that an older export consists of: with more planes than the new one has, some would stay.
+fn is_own(name: &str) -> bool {
+    let plane = || name.strip_prefix("plane_")?.strip_suffix(".jpg")?.parse::<u32>().ok();
+    name == "info.json" || plane().is_some()
 }
 
 /// Planes by term and channel, and the error of the fit.

@@ -43,6 +43,16 @@ impl Error {
         Self::Io { path: path.to_owned(), source }
     }
 
+    /// The same error, of a file below `to` in place of `from`: temporary names are nobody's business.
+    pub(crate) fn moved(mut self, from: &Path, to: &Path) -> Self {
+        if let Self::Io { path, .. } | Self::Invalid { path, .. } | Self::Unsupported { path, .. } = &mut self
+            && let Ok(rest) = path.strip_prefix(from)
+        {
+            *path = if rest.as_os_str().is_empty() { to.to_owned() } else { to.join(rest) };
+        }
+        self
+    }
+
     /// An [`Error::Invalid`] at `path`.
     pub fn invalid(path: &Path, what: impl Into<String>) -> Self {
         Self::Invalid { path: path.to_owned(), what: what.into() }

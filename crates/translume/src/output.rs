@@ -311,7 +311,8 @@ pub(crate) fn report(error: &anyhow::Error, json: bool) -> u8 {
     complain(&message);
     if json {
         let warnings = MESSAGES.get().map(|m| m.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone());
-        let object = serde_json::json!({ "error": message, "status": status, "warnings": warnings.unwrap_or_default() });
+        let object =
+            serde_json::json!({ "error": message, "status": status, "warnings": warnings.unwrap_or_default() });
         // The line on standard error has said it all.
         let _ = print(&format!("{object}\n"));
     }
@@ -366,7 +367,8 @@ pub(crate) fn one_line(error: &anyhow::Error) -> String {
 /// `text` with every run of white space, line ends included, as one space, and without what a terminal would obey: names of
 /// files and words in them are not ours.
 fn flatten(text: &str) -> String {
-    let shown: String = text.chars().map(|c| if c.is_control() && !c.is_whitespace() { '\u{fffd}' } else { c }).collect();
+    let shown: String =
+        text.chars().map(|c| if c.is_control() && !c.is_whitespace() { '\u{fffd}' } else { c }).collect();
     shown.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 

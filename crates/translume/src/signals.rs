@@ -30,7 +30,10 @@ pub(crate) fn listen() -> anyhow::Result<()> {
         signal_hook::flag::register_usize(signal, pending.clone(), signal as usize)
             .context("cannot listen for signals")?;
     }
-    std::thread::Builder::new().name("signals".into()).spawn(move || watch(&pending)).context("no thread for signals")?;
+    std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || watch(&pending))
+        .context("no thread for signals")?;
     Ok(())
 }
 

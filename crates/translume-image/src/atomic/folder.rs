@@ -12,12 +12,9 @@ use std::path::{Path, PathBuf};
 /// `own` says to be a file or folder of this kind of output (by its name) is removed; everything else stays.
 ///
 /// # Errors
-/// Whatever `fill` returns, or [`Error::Io`]; in both cases nothing is left behind and an older folder stays as it was.
-pub fn write_folder<T, E: From<Error>>(
-    path: &Path,
-    own: impl Fn(&str) -> bool,
-    fill: impl FnOnce(&Path) -> std::result::Result<T, E>,
-) -> std::result::Result<T, E> {
+/// Whatever `fill` returns, as if it had worked in `path`, or [`Error::Io`]; in both cases nothing is left behind and an
+/// older folder stays as it was.
+pub fn write_folder<T>(path: &Path, own: impl Fn(&str) -> bool, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
     let io = |e: io::Error| Error::io(path, without_name(e));
     let target = folder_place(path)?;
     leftovers::sweep(&target);
@@ -31,7 +28,7 @@ pub fn write_folder<T, E: From<Error>>(
     leftovers::lock(&lock);
     let new = around.path().join("new");
     std::fs::create_dir(&new).map_err(io)?;
-    let made = fill(&new)?;
+    let made = fill(&new).map_err(|e| e.moved(&new, path))?;
     if target.exists() {
         // As links, so that there is no moment at which they are in neither folder.
         keep_foreign(&target, &new, &own).map_err(io)?;
@@ -126,10 +123,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("model");
         write_folder(&path, |_| true, fill("1")).unwrap();
-        let failed: Result<()> = write_folder(&path, |_| true, |new| {
-            std::fs::write(new.join("half"), "").unwrap();
-            Err(Error::Mismatch("no".into()))
-        });
+        let failed: Result<()> = write_folder(
+            &path,
+            |_| true,
+            |new| {
+                std::fs::write(new.join("half"), "").unwrap();
+                Err(Error::Mismatch("no".into()))
+            },
+        );
         assert!(failed.is_err());
         assert_eq!(std::fs::read_to_string(path.join("model.json")).unwrap(), "1");
         assert!(!path.join("half").exists());

@@ -188,7 +188,8 @@ mod tests {
         let path = dir.path().join("a.exr");
         let (live, _guard) = temporary_beside(&path).unwrap();
         let stale = dir.path().join(format!("{}dead{}", leftovers::prefix(&path), leftovers::SUFFIX));
-        let other = dir.path().join(format!("{}dead{}", leftovers::prefix(&dir.path().join("b.exr")), leftovers::SUFFIX));
+        let other =
+            dir.path().join(format!("{}dead{}", leftovers::prefix(&dir.path().join("b.exr")), leftovers::SUFFIX));
         let old = std::time::SystemTime::now() - std::time::Duration::from_secs(3600);
         for file in [&stale, &other] {
             File::create(file).unwrap().set_modified(old).unwrap();

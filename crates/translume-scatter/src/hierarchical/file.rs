@@ -4,6 +4,7 @@ use super::array::{Array, Number};
 use super::atlas::{Atlas, RADIUS};
 use super::model::{Hierarchical, Told};
 use super::pairs::{Throughput, pair, pairs};
+use crate::model_folder::write_model;
 use half::f16;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -76,44 +77,12 @@ impl HierarchicalHead {
     }
 }
 
-/// Writes the model into the folder `path`, which is made beside it and renamed when it is whole.
+/// Writes the model into the folder `path`, whole or not at all; see [`crate::check_model_folder`].
 ///
 /// # Errors
-/// [`Error::Io`], also where `path` exists and is not a model of this kind.
+/// [`Error::Io`], also where `path` exists and is no model.
 pub fn save_hierarchical(path: &Path, head: &HierarchicalHead, model: &Hierarchical) -> Result<()> {
-    let io = |e| Error::io(path, e);
-    if path.exists() && read_head(path).is_err() && std::fs::read_dir(path).map_or(true, |mut d| d.next().is_some()) {
-        return Err(io(std::io::Error::new(
-            std::io::ErrorKind::AlreadyExists,
-            "it exists and is no hierarchical model; choose another name or remove it",
-        )));
-    }
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let beside = Beside::new(parent, path)?;
-    write_parts(&beside.0, head, model)?;
-    if path.exists() {
-        std::fs::remove_dir_all(path).map_err(io)?;
-    }
-    std::fs::rename(&beside.0, path).map_err(io)
-}
-
-/// A folder that vanishes unless it was renamed.
-struct Beside(std::path::PathBuf);
-
-impl Beside {
-    fn new(parent: &Path, path: &Path) -> Result<Self> {
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let folder = parent.join(format!(".translume-{}-{name}.tmp", std::process::id()));
-        std::fs::create_dir_all(&folder).map_err(|e| Error::io(path, e))?;
-        Ok(Self(folder))
-    }
-}
-
-impl Drop for Beside {
-    fn drop(&mut self) {
-        // Gone already if it was renamed; there is nobody to tell otherwise.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+    write_model(path, |new| write_parts(new, head, model))
 }
 
 fn write_parts(path: &Path, head: &HierarchicalHead, model: &Hierarchical) -> Result<()> {

@@ -5,6 +5,7 @@ use super::model::PlanarModel;
 use super::samples::PlanarCapture;
 use crate::capture::Camera;
 use crate::fit::Model;
+use crate::model_folder::write_model;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use translume_image::{Error, ExrOptions, Precision, Result, atomic, read_exr_channels, write_exr_channels};
@@ -59,12 +60,15 @@ struct Whole {
     model: PlanarModel,
 }
 
-/// Writes the model into the folder `path`, which is made.
+/// Writes the model into the folder `path`, whole or not at all; see [`crate::check_model_folder`].
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`Error::Io`], also where `path` exists and is no model.
 pub fn save_model(path: &Path, head: &ModelHead, model: &PlanarModel, size: (usize, usize)) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
+    write_model(path, |new| write_parts(new, head, model, size))
+}
+
+fn write_parts(path: &Path, head: &ModelHead, model: &PlanarModel, size: (usize, usize)) -> Result<()> {
     let whole = Whole { head: head.clone(), model: model.clone() };
     let text = serde_json::to_string(&whole).expect("plain data");
     let options = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };

@@ -6,6 +6,7 @@ use super::samples::MeshCapture;
 use super::uniform::UniformModel;
 use crate::capture::Texels;
 use crate::fit::Model;
+use crate::model_folder::write_model;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use translume_image::{Error, ExrOptions, Precision, Result, atomic, read_exr_channels, write_exr_channels};
@@ -97,16 +98,18 @@ struct WholeUniform {
     model: UniformModel,
 }
 
-/// Writes the model into the folder `path`, which is made.
+/// Writes the model into the folder `path`, whole or not at all; see [`crate::check_model_folder`].
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`Error::Io`], also where `path` exists and is no model.
 pub fn save_vertex_model(path: &Path, head: &VertexHead, model: &VertexModel, mesh: &MeshCapture) -> Result<()> {
-    write_texture(path, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
     let whole =
         Whole { format: FORMAT.into(), version: VERTEX_MODEL_VERSION.into(), head: head.clone(), model: model.clone() };
     let text = serde_json::to_string(&whole).expect("plain data");
-    atomic::write_bytes(&path.join("model.json"), text.as_bytes())
+    write_model(path, |new| {
+        write_texture(new, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
+        atomic::write_bytes(&new.join("model.json"), text.as_bytes())
+    })
 }
 
 /// Writes a model with one fall-off.
@@ -114,11 +117,13 @@ pub fn save_vertex_model(path: &Path, head: &VertexHead, model: &VertexModel, me
 /// # Errors
 /// [`Error::Io`].
 pub fn save_uniform_model(path: &Path, head: &VertexHead, model: &UniformModel, mesh: &MeshCapture) -> Result<()> {
-    write_texture(path, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
     let (format, version) = (UNIFORM_FORMAT.into(), VERTEX_MODEL_VERSION.into());
     let whole = WholeUniform { format, version, head: head.clone(), model: model.clone() };
     let text = serde_json::to_string_pretty(&whole).expect("plain data");
-    atomic::write_bytes(&path.join("model.json"), text.as_bytes())
+    write_model(path, |new| {
+        write_texture(new, head, mesh, model.texels_per_edge, (&model.texture, &model.texture_samples))?;
+        atomic::write_bytes(&new.join("model.json"), text.as_bytes())
+    })
 }
 
 /// The mesh, and the texture with the numbers of its samples.
@@ -129,7 +134,6 @@ fn write_texture(
     per_edge: usize,
     (texture, samples): (&[Vec<f32>], &[Vec<f32>]),
 ) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|e| Error::io(path, e))?;
     let options = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };
     let names: Vec<[String; 2]> =
         head.channels.iter().map(|n| [format!("alpha.{n}"), format!("samples.{n}")]).collect();

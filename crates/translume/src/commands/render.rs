@@ -1,6 +1,7 @@
 //! `translume render`: a scene becomes a picture.
 
 use super::camera_path;
+use super::target::{self, Kind};
 use crate::cli::Usage;
 use crate::output::Context;
 use crate::signals;
@@ -11,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use translume_image::colour::linear_to_srgb;
-use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
+use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_jpeg, write_png8};
 use translume_render::checkpoint::{self, Identity};
 use translume_render::film::{Aov, Film};
 use translume_render::integrator::{self, INTEGRATORS, Integrator, Settings};
@@ -53,7 +54,7 @@ Examples:
 /// Render a scene
 ///
 /// The picture is linear Rec. 709 in OpenEXR with the number of samples per pixel as a channel, so that `translume merge`
-/// can average renders of different seeds. Ctrl-C writes what is there. The same scene, options and seed give the same
+/// can average renders of different seeds. Ctrl-C writes what is there and exits with 130. The same scene, options and seed give the same
 /// picture for any number of threads.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
@@ -91,9 +92,12 @@ pub(crate) struct Args {
     /// Longest path in segments; 0: no limit [default: the scene's]
     #[arg(long, value_name = "N")]
     max_depth: Option<u32>,
-    /// Save the state of the render here, every minute and at the end
+    /// Save the state of the render here, from time to time and at the end
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
+    /// Time between two checkpoints
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_time, requires = "checkpoint")]
+    checkpoint_every: Duration,
     /// Go on from the checkpoint if it is there
     #[arg(long, requires = "checkpoint")]
     resume: bool,
@@ -106,7 +110,7 @@ pub(crate) struct Args {
     /// Take a picture from each place of this path (JSON), OUT-0000.exr and so on; gkernel keeps its light paths
     #[arg(long, value_name = "PATH.json")]
     camera_path: Option<PathBuf>,
-    /// Keep a picture of how it goes here, .png
+    /// Keep a picture of how it goes here, .png or .jpg
     #[arg(long, value_name = "OUT.png")]
     preview: Option<PathBuf>,
     /// Value of a parameter of the scene file
@@ -158,7 +162,7 @@ pub(super) fn parse_define(text: &str) -> Result<(String, String), String> {
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
-    check_outputs(&args)?;
+    check_outputs(&args, ctx)?;
     let begun = Instant::now();
     let options = super::load_options(args.lenient, args.set.clone());
     let scene = Arc::new(translume_scene::load(&args.scene, &options)?);
@@ -203,6 +207,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
             None => path.clone(),
         };
         let (output, denoised) = (name_of(&args.output), args.denoise.as_ref().map(name_of));
+        ctx.protect(&inputs(&args), &[&*output])?;
         let reporter = Reporter { args: &args, ctx, identity, output, denoised, stop: stop.clone() };
         let progress = reporter.watch(shot, &mut film, &until)?;
         frames.push(reporter.finish(&film, &name, &progress, loaded, told(&*integrator, shot, &progress))?);
@@ -275,25 +280,27 @@ fn told(integrator: &dyn Integrator, shot: &Shot, progress: &Progress) -> Value 
 }
 
 /// Before hours of work: outputs are of the kinds that are written, and can be.
-fn check_outputs(args: &Args) -> anyhow::Result<()> {
+fn check_outputs(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     if args.camera_path.is_some() && args.checkpoint.is_some() {
         return Err(Usage("--camera-path has no --checkpoint: frames that are done stay".into()).into());
     }
-    let outputs = [
-        (Some(&args.output), "picture", "exr"),
-        (args.denoise.as_ref(), "clean picture", "exr"),
-        (args.preview.as_ref(), "preview", "png"),
-    ];
-    for (path, what, extension) in outputs.into_iter().filter_map(|(p, w, e)| Some((p?, w, e))) {
-        if path.extension().is_none_or(|e| !e.eq_ignore_ascii_case(extension)) {
-            return Err(Usage(format!("{}: the {what} must be .{extension}", path.display())).into());
-        }
+    target::wants(&args.output, "exr", "picture")?;
+    args.denoise.iter().try_for_each(|p| target::wants(p, "exr", "clean picture"))?;
+    args.preview.iter().try_for_each(|p| Kind::of(p, &PREVIEWS, "preview").map(drop))?;
+    let more = [&args.denoise, &args.preview, &args.checkpoint].into_iter().flatten();
+    let outputs: Vec<&Path> = std::iter::once(&args.output).chain(more).map(PathBuf::as_path).collect();
+    if args.camera_path.is_some() && outputs.iter().any(|o| atomic::is_stream(o)) {
+        return Err(Usage("--camera-path writes a file for each frame: give names of files".into()).into());
     }
-    let more = [&args.denoise, &args.preview, &args.checkpoint].into_iter().filter_map(Option::as_ref);
-    for path in std::iter::once(&args.output).chain(more) {
-        atomic::check_writable(path)?;
-    }
-    Ok(())
+    ctx.claim(&inputs(args), &outputs)
+}
+
+/// Formats of previews.
+const PREVIEWS: [Kind; 2] = [Kind::Png, Kind::Jpeg];
+
+/// The files that the command line names to be read.
+fn inputs(args: &Args) -> Vec<&Path> {
+    std::iter::once(&args.scene).chain(&args.camera_path).map(PathBuf::as_path).collect()
 }
 
 /// Whole numbers are written as such.
@@ -324,8 +331,6 @@ struct Reporter<'a> {
     stop: Arc<AtomicBool>,
 }
 
-const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(60);
-
 impl Reporter<'_> {
     /// Renders, with progress, previews and checkpoints, until done or interrupted.
     fn watch(&self, shot: &Shot, film: &mut Film, until: &Until) -> anyhow::Result<Progress> {
@@ -339,7 +344,7 @@ impl Reporter<'_> {
             if let Some(path) = &self.args.preview {
                 written = preview(path, film);
             }
-            if saved.elapsed() > BETWEEN_CHECKPOINTS {
+            if saved.elapsed() > self.args.checkpoint_every {
                 written = written.and_then(|()| self.save(film));
                 saved = Instant::now();
             }
@@ -354,8 +359,9 @@ impl Reporter<'_> {
             self.picture(film)?;
             return Err(error);
         }
-        if stop.load(Ordering::Relaxed) {
+        if progress.fraction < 1.0 && stop.load(Ordering::Relaxed) {
             self.ctx.note("interrupted: writing what is there");
+            self.ctx.cut_short();
         }
         Ok(progress)
     }
@@ -401,7 +407,7 @@ impl Reporter<'_> {
             self.ctx.warn(format!("{} samples were not finite and count as black", film.broken()));
         }
         let seconds = progress.elapsed.as_secs_f64();
-        self.ctx.note(format!("{}: {}", self.output.display(), tell(progress)));
+        self.ctx.done(&self.output, tell(progress))?;
         Ok(json!({
             "output": self.output.to_string_lossy(),
             "integrator": integrator,
@@ -430,5 +436,8 @@ fn preview(path: &Path, film: &Film) -> anyhow::Result<()> {
     let code = |v: f32| (linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0).round() as u8;
     let pixels: Vec<u8> = film.rgb().into_iter().map(code).collect();
     let [w, h] = film.size().map(|s| s as usize);
-    Ok(write_png8(path, (w, h), &pixels)?)
+    match Kind::of(path, &PREVIEWS, "preview")? {
+        Kind::Jpeg => Ok(write_jpeg(path, (w, h), &pixels, 90)?),
+        _ => Ok(write_png8(path, (w, h), &pixels)?),
+    }
 }

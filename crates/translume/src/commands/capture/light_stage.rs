@@ -99,6 +99,7 @@ fn parse_clamp(text: &str) -> Result<f32, String> {
 }
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
+    ctx.protect(&[&args.scene], &[&args.output])?;
     let options = crate::commands::load_options(args.lenient, args.set.clone());
     let scene = translume_scene::load(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
@@ -109,7 +110,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let stage = Stage::new(args, &scene, &sensor, &settings)?;
     let missing = stage.begin(ctx)?;
     if put_out > 0 {
-        ctx.note(format_args!("the scene's own lights ({put_out}) are put out"));
+        ctx.note(format_args!("the scene's own lights are switched off ({put_out})"));
     }
     let world = World::dark(Arc::new(scene)).with_context(|| args.scene.display().to_string())?;
     if world.has_media() {
@@ -117,12 +118,12 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     }
     let kept = stage.lights.len() - missing.len();
     let (rays, seconds) = stage.render(&world, &settings, &missing, ctx)?;
-    ctx.text(format_args!(
-        "{}: {} pictures ({kept} were there), {:.2} million rays/s, {seconds:.1} s",
-        args.output.display(),
-        stage.lights.len(),
-        rays as f64 / seconds.max(1e-9) / 1e6
-    ))?;
+    let rate = rays as f64 / seconds.max(1e-9) / 1e6;
+    let rendered = missing.len();
+    ctx.done(
+        &args.output,
+        format_args!("{rendered} rendered, {kept} reused, {rate:.2} million rays/s, {seconds:.1} s"),
+    )?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(),
         "lights": args.output.join("lights.lp").to_string_lossy(),

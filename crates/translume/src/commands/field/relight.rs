@@ -121,10 +121,7 @@ pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let gain = args.ev.exp2();
     sum.iter_mut().for_each(|v| *v *= gain);
     write(&args.output, kind, sum, &field, ctx)?;
-    ctx.done(
-        &args.output,
-        format_args!("{} × {} pixels under {} directions", field.width, field.height, all.len()),
-    )?;
+    ctx.done(&args.output, format_args!("{} × {} pixels under {} directions", field.width, field.height, all.len()))?;
     ctx.emit_json(json!({
         "output": args.output,
         "width": field.width,

@@ -151,6 +151,7 @@ fn params(args: &Args) -> anyhow::Result<Option<Params>> {
 }
 
 fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {
+    ctx.claim(&[&args.input], &[&args.output])?;
     let input = SampleFile::open(&args.input)?;
     let bar = ctx.progress(input.points as u64, "fitting");
     let mut summary = None;
@@ -198,6 +199,8 @@ fn summary_json(s: &translume_scatter::Summary) -> serde_json::Value {
 }
 
 fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
+    ctx.protect(&[&args.input], &[&args.output])?;
+    translume_scatter::check_model_folder(&args.output)?;
     let opened = Capture::open(&args.input)?;
     if !opened.is_flat() {
         return fit_mesh(args, fit, opened, ctx);

@@ -24,6 +24,8 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
         let what = format!("{}: hierarchical models are fitted to captures, which are folders", args.input.display());
         return Err(Usage(what).into());
     }
+    ctx.protect(&[&args.input], &[&args.output])?;
+    translume_scatter::check_model_folder(&args.output)?;
     let stage = Stage::new(Capture::open(&args.input)?, args.threshold, &AtlasParams::default())?;
     let (positions, vertices) = (stage.positions() as u64, stage.surface.mesh.positions.len() as u64);
     let params = HierarchicalParams::default();

@@ -1,18 +1,17 @@
 //! Pictures of lit objects as files.
 
-use crate::cli::Usage;
+use super::super::target::Kind;
 use crate::output::Context;
 use std::path::Path;
 use translume_image::colour::linear_to_srgb;
-use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_png8};
+use translume_image::{ExrOptions, Precision, write_exr_channels, write_png8};
 
-/// Whether a picture can be written there.
-pub(super) fn check(output: &Path) -> anyhow::Result<()> {
-    let extension = output.extension().map(|e| e.to_string_lossy().to_lowercase());
-    if !matches!(extension.as_deref(), Some("exr" | "png")) {
-        return Err(Usage(format!("{}: pictures are written as .exr or .png", output.display())).into());
-    }
-    Ok(atomic::check_writable(output)?)
+const KINDS: [Kind; 2] = [Kind::Exr, Kind::Png];
+
+/// Whether a picture can be written there, beside what is read.
+pub(super) fn check(inputs: &[&Path], output: &Path, ctx: &Context) -> anyhow::Result<()> {
+    Kind::of(output, &KINDS, "picture")?;
+    ctx.claim(inputs, &[output])
 }
 
 /// What is shown as white: so many in a hundred of the values that are not zero are darker.
@@ -30,7 +29,7 @@ pub(crate) fn write_png(output: &Path, size: (usize, usize), picture: &[[f32; 3]
 
 /// Writes linear RGB; PNG files are for a look.
 pub(super) fn write(output: &Path, size: (usize, usize), picture: &[[f32; 3]], ctx: &Context) -> anyhow::Result<()> {
-    if output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+    if Kind::of(output, &KINDS, "picture")? == Kind::Png {
         return write_png(output, size, picture, white(picture, 99));
     }
     let plane = |c: usize| picture.iter().map(|p| p[c]).collect::<Vec<f32>>();

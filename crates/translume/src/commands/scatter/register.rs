@@ -14,8 +14,8 @@ Examples:
   A capture with corrected poses beside the old one; its frames are linked, not copied:
     translume scatter register capture/ -o registered/
 
-  Only the corrected description, which then replaces the old one:
-    translume scatter register capture/ -o capture/rig.json
+  Only the corrected description, to look at and put in the place of the old one:
+    translume scatter register capture/ -o corrected.json
 
   White balance too, from a picture of a white target under each laser:
     translume scatter register capture/ --white red.exr green.exr blue.exr -o registered/";
@@ -49,6 +49,11 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let alone = args.output.extension().is_some_and(|e| e == "json");
     if !alone && args.output.exists() {
         return Err(anyhow!("{}: it exists; choose another name or remove it", args.output.display()));
+    }
+    let inputs: Vec<&Path> = std::iter::once(&args.input).chain(&args.white).map(PathBuf::as_path).collect();
+    match alone {
+        true => ctx.claim(&inputs, &[&args.output])?,
+        false => ctx.protect(&inputs, &[&args.output])?,
     }
     let mut capture = Capture::open(&args.input)?;
     let light = white_light(args, capture.rig.channels.len())?;
@@ -92,24 +97,24 @@ fn white_light(args: &Args, channels: usize) -> anyhow::Result<Vec<f64>> {
 
 /// The capture with another rig: mesh and frames are hard links, or copies where there are none. All or nothing.
 fn write_folder(output: &Path, capture: &Capture, rig: &str) -> anyhow::Result<()> {
-    let parent = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
-    let beside = beside.map_err(|e| anyhow!("{}: {e}", parent.display()))?;
-    let folder = beside.path().join("capture");
-    std::fs::create_dir(&folder).map_err(|e| Error::io(&folder, e))?;
-    for name in [&capture.rig.mesh, &capture.rig.frames] {
-        let to = folder.join(name);
-        if let Some(above) = to.parent() {
-            std::fs::create_dir_all(above).map_err(|e| Error::io(above, e))?;
-        }
-        link(&capture.path.join(name), &to)?;
-    }
-    let file = folder.join("rig.json");
-    std::fs::write(&file, rig).map_err(|e| Error::io(&file, e))?;
-    Ok(std::fs::rename(&folder, output).map_err(|e| Error::io(output, e))?)
+    let written = atomic::write_folder(
+        output,
+        |_| false,
+        |folder| {
+            for name in [&capture.rig.mesh, &capture.rig.frames] {
+                let to = folder.join(name);
+                if let Some(above) = to.parent() {
+                    std::fs::create_dir_all(above).map_err(|e| Error::io(output, e))?;
+                }
+                link(&capture.path.join(name), &to)?;
+            }
+            std::fs::write(folder.join("rig.json"), rig).map_err(|e| Error::io(output, e))
+        },
+    );
+    Ok(written?)
 }
 
-fn link(from: &Path, to: &Path) -> anyhow::Result<()> {
+fn link(from: &Path, to: &Path) -> translume_image::Result<()> {
     if from.is_dir() {
         std::fs::create_dir(to).map_err(|e| Error::io(to, e))?;
         for entry in std::fs::read_dir(from).map_err(|e| Error::io(from, e))? {

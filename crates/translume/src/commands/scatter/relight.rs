@@ -56,7 +56,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
-    super::picture::check(&args.output)?;
+    super::picture::check(&[&args.model, &args.lights], &args.output, ctx)?;
     let lighting = Lighting::read(&args.lights)?;
     let sources = Sources::new(&lighting.lights, args.lights.parent().unwrap_or(Path::new("")))?;
     let (model, mesh, eta) = load(&args.model)?;
@@ -76,9 +76,8 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let seconds = begin.elapsed().as_secs_f64() / f64::from(args.frames);
     let view = &lighting.view;
     super::picture::write(&args.output, (view.width, view.height), &picture, ctx)?;
-    if args.frames > 1 {
-        ctx.text(format!("{:.1} pictures per second", 1.0 / seconds))?;
-    }
+    let rate = if args.frames > 1 { format!(", {:.1} pictures per second", 1.0 / seconds) } else { String::new() };
+    ctx.done(&args.output, format_args!("{} × {} pixels{rate}", view.width, view.height))?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "width": view.width, "height": view.height,
         "vertices": surface.mesh.positions.len(), "kernels": atlas.texels.len(), "seconds_per_frame": seconds,

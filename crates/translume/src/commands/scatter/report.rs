@@ -53,6 +53,7 @@ pub(super) struct Told {
 }
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
+    ctx.protect(&[&args.capture, &args.model], &[&args.output])?;
     let opened = Capture::open(&args.capture)?;
     // The threshold of the model decides what is a sample; it is known once the model is read.
     let threshold = threshold_of(&args.model)?;

@@ -247,39 +247,40 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(args, solid.as_ref())?;
     let medium = medium(args, &params, solid.as_ref(), ctx)?;
     if let Some(prefix) = &args.save_medium {
-        save_medium(prefix, &medium)?;
+        save_medium(prefix, &medium, &inputs(args), ctx)?;
     }
     if let Some(lights) = &args.lights {
         let solid = solid.as_ref().expect("clap asks for a mesh");
         return under_lights(args, lights, (solid, &medium), &params, ctx);
     }
-    let parent = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let beside = tempfile::Builder::new().prefix(".translume-").tempdir_in(parent);
-    let beside = beside.map_err(|e| anyhow!("{}: {e}", parent.display()))?;
-    let folder = beside.path().join("capture");
     let bar = ctx.progress((params.spots * params.spots) as u64, "shining");
     let label = json!({ "medium": format!("{:?}", args.medium).to_lowercase(), "pattern": args.pattern, "command": ctx.command_line });
-    let capture = match &solid {
-        Some(solid) => capture_solid(&folder, (solid, &medium), &params, label, |positions| {
-            bar.set_length(positions as u64);
-            bar.inc(1);
-        })?,
-        None => capture_slab(&folder, &medium, &params, label, || bar.inc(1))?,
-    };
-    std::fs::rename(&folder, &args.output).map_err(|e| anyhow!("{}: {e}", args.output.display()))?;
+    let capture = translume_image::atomic::write_folder(
+        &args.output,
+        |_| false,
+        |folder| match &solid {
+            Some(solid) => capture_solid(folder, (solid, &medium), &params, label, |positions| {
+                bar.set_length(positions as u64);
+                bar.inc(1);
+            }),
+            None => capture_slab(folder, &medium, &params, label, || bar.inc(1)),
+        },
+    )?;
+    drop(bar);
     let rig = &capture.rig;
     let positions = rig.laser.hits_mm.len();
     // Each laser position of a mesh is seen by the cameras of its stop.
     let frames = positions * rig.channels.len() * if solid.is_some() { params.cameras } else { params.views };
-    ctx.text(format!(
-        "{}: {frames} frames of {} × {} pixels, {positions} laser positions",
-        args.output.display(),
-        params.pixels,
-        params.pixels
-    ))?;
+    let side = params.pixels;
+    ctx.done(&args.output, format_args!("{frames} frames of {side} × {side} pixels, {positions} laser positions"))?;
     let floors: Vec<f64> = rig.channels.iter().map(|c| c.noise_floor).collect();
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "frames": frames, "positions": positions,
         "noise_floor": floors }))
+}
+
+/// The files that the command line names to be read.
+fn inputs(args: &Args) -> Vec<&Path> {
+    [&args.mesh, &args.grid, &args.lights].into_iter().flatten().map(PathBuf::as_path).collect()
 }
 
 /// The truth for models of the capture: the same walk, with photons of the lights.
@@ -290,7 +291,7 @@ fn under_lights(
     params: &CaptureParams,
     ctx: &Context,
 ) -> anyhow::Result<()> {
-    picture::check(&args.output)?;
+    picture::check(&inputs(args), &args.output, ctx)?;
     let lighting = Lighting::read(lights)?;
     let sources = Sources::new(&lighting.lights, lights.parent().unwrap_or(Path::new("")))?;
     let view = &lighting.view;
@@ -305,6 +306,7 @@ fn under_lights(
     let picture = picture_of_solid(object, &sources, view, &lit);
     let picture = picture.ok_or_else(|| anyhow!("{}: there is no light, or no view", lights.display()))?;
     picture::write(&args.output, (view.width, view.height), &picture, ctx)?;
+    ctx.done(&args.output, format_args!("{} × {} pixels, {} photons", view.width, view.height, params.photons))?;
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "width": view.width, "height": view.height,
         "photons": params.photons }))
 }
@@ -333,7 +335,7 @@ fn medium(args: &Args, params: &CaptureParams, solid: Option<&Solid>, ctx: &Cont
 }
 
 /// Extinction and albedo, three channels each, as grids of Mitsuba's format.
-fn save_medium(prefix: &Path, medium: &Medium) -> anyhow::Result<()> {
+fn save_medium(prefix: &Path, medium: &Medium, inputs: &[&Path], ctx: &Context) -> anyhow::Result<()> {
     let (size, corners, cells) = medium.cells();
     let corners = corners.map(translume_mesh::glam::DVec3::from_array);
     let extinction = |c: &Local| c.sigma_a.map(|a| a + c.sigma_s);
@@ -342,6 +344,7 @@ fn save_medium(prefix: &Path, medium: &Medium) -> anyhow::Result<()> {
     for (name, values) in [("sigma_t", sigma_t), ("albedo", albedo)] {
         let mut file = prefix.as_os_str().to_owned();
         file.push(format!("-{name}.vol"));
+        ctx.claim(inputs, &[Path::new(&file)])?;
         let bytes = translume_scene::grid_bytes(size, 3, corners, &values);
         translume_image::atomic::write_bytes(Path::new(&file), &bytes)?;
     }
