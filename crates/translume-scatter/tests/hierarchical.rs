@@ -67,7 +67,7 @@ fn capture(path: &Path) -> Capture {
             (z > -0.4).then_some((100.0 * direction, DVec3::from_array(place.at)))
         })
         .collect();
-    let channel = Channel { name: "gray".into(), wavelength_nm: 550.0, white_balance: 1.0, noise_floor: 1e-9 };
+    let channel = Channel { name: "gray".into(), wavelength_nm: Some(550.0), white_balance: 1.0, noise_floor: 1e-9 };
     let rig = Rig {
         format: "translume capture".into(),
         version: RIG_VERSION.into(),

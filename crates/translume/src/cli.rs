@@ -84,21 +84,31 @@ impl std::error::Error for Usage {}
 /// Runs the program with the arguments `argv` (the first is the program's name) and returns its exit status.
 pub(crate) fn run(argv: Vec<OsString>) -> u8 {
     let json = argv.iter().take_while(|a| *a != "--").any(|a| a == "--json");
-    let request = match config::resolve(Cli::command(), argv) {
-        Ok(request) => request,
-        Err(error) => return output::report(&error, json),
-    };
-    match request {
-        Request::Print(text) => output::print(&text).map_or_else(|error| output::report(&error, json), |()| 0),
-        Request::Run { matches, argv } => execute(&matches, &argv),
+    let verb = config::verb_name(&command(), &argv);
+    match config::resolve(command(), argv) {
+        Ok(Request::Print(text)) => {
+            output::print(&text).map_or_else(|error| output::report(&error, &verb, json), |()| 0)
+        }
+        Ok(Request::Run { matches, argv }) => execute(&matches, &argv, &verb),
+        Err(error) => output::report(&error, &verb, json),
     }
 }
 
+/// The command line as clap has it. A negative number is a value wherever one stands, so that the answer is about the number.
+fn command() -> clap::Command {
+    fn numbers(command: clap::Command) -> clap::Command {
+        command
+            .mut_args(|a| if a.get_action().takes_values() { a.allow_negative_numbers(true) } else { a })
+            .mut_subcommands(numbers)
+    }
+    numbers(Cli::command())
+}
+
 /// Sets up what all verbs share and calls the one that was asked for.
-fn execute(matches: &clap::ArgMatches, argv: &[OsString]) -> u8 {
+fn execute(matches: &clap::ArgMatches, argv: &[OsString], verb_name: &str) -> u8 {
     let json = matches.get_flag("json");
     let begun = Cli::from_arg_matches(matches).map_err(anyhow::Error::from).and_then(|cli| {
-        let context = Context::new(&cli.global, argv, &config::paths(&Cli::command(), matches))?;
+        let context = Context::new(&cli.global, argv, &config::paths(&command(), matches))?;
         signals::listen()?;
         if let Some(threads) = cli.global.threads {
             rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
@@ -107,13 +117,13 @@ fn execute(matches: &clap::ArgMatches, argv: &[OsString]) -> u8 {
     });
     let (verb, context) = match begun {
         Ok(begun) => begun,
-        Err(error) => return output::report(&error, json),
+        Err(error) => return output::report(&error, verb_name, json),
     };
     match verb.run(&context).and_then(|()| context.finish()) {
         Ok(()) => context.exit_status(),
         Err(error) => {
             context.log("error", &output::one_line(&error));
-            output::report(&error, json && !context.has_emitted())
+            output::report(&error, verb_name, json && !context.has_emitted())
         }
     }
 }

@@ -64,11 +64,24 @@ pub(crate) fn resolve(mut command: Command, mut argv: Vec<OsString>) -> Result<R
         Err(e) => match file {
             // The mistake may be in the file: name it. Help is no mistake.
             Some(file) if e.use_stderr() && e.kind() != ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-                Err(Usage(format!("{}, with {}", output::usage_line(&e), file.display())).into())
+                Err(Usage(format!("{}, with {}", output::usage_line(&e, &full_name(&verb.path)), file.display()))
+                    .into())
             }
             _ => Err(e.into()),
         },
     }
+}
+
+/// The program's name and the verb that `argv` is about, as far as it says one: whose help to ask for.
+pub(crate) fn verb_name(root: &Command, argv: &[OsString]) -> String {
+    let (mut command, mut name) = (root, root.get_name().to_owned());
+    for word in argv.iter().skip(1).take_while(|w| *w != "--") {
+        if let Some(below) = command.find_subcommand(word) {
+            command = below;
+            name = format!("{name} {}", below.get_name());
+        }
+    }
+    name
 }
 
 /// The arguments of `matches` that are names of files.

@@ -297,14 +297,14 @@ pub(crate) fn print(text: &str) -> anyhow::Result<()> {
 /// Tells why the run ended, in one line on standard error (help that was asked for: on standard output) and, with `json`, in
 /// an object on standard output, and returns the exit status. A reader of our output that went away, as `head` does, is no
 /// failure.
-pub(crate) fn report(error: &anyhow::Error, json: bool) -> u8 {
+pub(crate) fn report(error: &anyhow::Error, verb: &str, json: bool) -> u8 {
     let causes = || error.chain();
     if causes().any(|c| c.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe)) {
         return 0;
     }
     let (message, status) = match error.downcast_ref::<clap::Error>() {
         Some(error) if is_help(error) => return print_help(error),
-        Some(error) => (usage_line(error), WRONG_USAGE),
+        Some(error) => (usage_line(error, verb), WRONG_USAGE),
         None if causes().any(|c| c.is::<Usage>()) => (one_line(error), WRONG_USAGE),
         None => (one_line(error), signals::status().unwrap_or(FAILED)),
     };
@@ -333,17 +333,25 @@ fn print_help(error: &clap::Error) -> u8 {
 }
 
 /// clap's description of a mistake in one line, with the verb to ask for help.
-pub(crate) fn usage_line(error: &clap::Error) -> String {
+pub(crate) fn usage_line(error: &clap::Error, verb: &str) -> String {
     let rendered = error.render().to_string();
-    let (message, usage) = rendered.split_once("\n\nUsage: ").unwrap_or((&rendered, ""));
+    let (message, _) = rendered.split_once("\n\nUsage: ").unwrap_or((&rendered, ""));
     let (message, _) = message.split_once("\n\nFor more information").unwrap_or((message, ""));
-    let is_name = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
-    let verb = usage.split_whitespace().take_while(is_name).collect::<Vec<_>>().join(" ");
-    let verb = if verb.is_empty() { "translume" } else { &verb };
     // A tip is a paragraph of its own.
     let parts: Vec<_> = message.trim_start_matches("error: ").split("\n\n").map(flatten).collect();
-    format!("{} (see {verb} --help)", parts.join("; "))
+    let message = NUMBER_WORDS.iter().fold(parts.join("; "), |text, (theirs, ours)| text.replace(theirs, ours));
+    format!("{message} (see {verb} --help)")
 }
+
+/// What the standard library says of text that is no number, and what it means.
+const NUMBER_WORDS: [(&str, &str); 6] = [
+    ("invalid digit found in string", "a whole number is wanted"),
+    ("invalid float literal", "a number is wanted"),
+    ("number too large to fit in target type", "the number is too large"),
+    ("number too small to fit in target type", "the number is too small"),
+    ("cannot parse integer from empty string", "a whole number is wanted"),
+    ("cannot parse float from empty string", "a number is wanted"),
+];
 
 fn complain(message: &str) {
     // Nobody is left to tell when standard error is closed.

@@ -148,3 +148,40 @@ fn a_configuration_can_be_printed_before_the_inputs_are_known() {
     let printed = translume(dir.path(), &["completions", "--print-config"]).ok();
     assert!(printed.contains("[completions]") && printed.contains("# shell: not set"), "{printed}");
 }
+
+#[test]
+fn a_wrong_number_gets_an_answer_about_the_number() {
+    let dir = tempdir().unwrap();
+    let render = |more: &[&str]| translume(dir.path(), &[&["render", "s.xml", "-o", "o.exr"], more].concat()).error(2);
+    for (value, answer) in
+        [("-5", "-5 is not in 1.."), ("1.5", "a whole number is wanted"), ("99999999999999999999", "too large")]
+    {
+        let error = render(&["--spp", value]);
+        assert!(error.contains("--spp") && error.contains(answer), "{error}");
+        assert!(error.ends_with("(see translume render --help)"), "{error}");
+    }
+    let error = translume(dir.path(), &["image", "convert", "a.exr", "-o", "b.exr", "--ev", "two"]).error(2);
+    assert!(error.contains("a number is wanted") && error.ends_with("(see translume image convert --help)"), "{error}");
+}
+
+#[test]
+fn failures_are_objects_with_json() {
+    let dir = tempdir().unwrap();
+    for (args, status) in
+        [(&["image", "info", "gone.exr", "--json"][..], 1), (&["image", "info", "--nonsense", "--json"], 2)]
+    {
+        let run = translume(dir.path(), args);
+        assert_eq!(run.status, status);
+        let object: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        assert_eq!(object["status"], status);
+        assert!(run.stderr.contains(object["error"].as_str().unwrap()), "{object}");
+        assert!(object["warnings"].as_array().unwrap().is_empty());
+    }
+}
+
+#[test]
+fn names_do_not_reach_the_terminal_raw() {
+    let dir = tempdir().unwrap();
+    let error = translume(dir.path(), &["image", "info", "\u{1b}[31mred.exr"]).error(1);
+    assert!(!error.contains('\u{1b}') && error.contains("[31mred.exr"), "{error:?}");
+}

@@ -211,7 +211,7 @@ fn outputs_that_cannot_be_written() {
     fails(dir.path(), &with(&["-o", "o.exr", "--preview", "gone/p.png"]), 1, &["gone/p.png"]);
     fails(dir.path(), &with(&["-o", "o.exr", "--checkpoint", "gone/c.tlck"]), 1, &["gone/c.tlck"]);
     fails(dir.path(), &with(&["-o", "o.png"]), 2, &["o.png", ".exr"]);
-    fails(dir.path(), &with(&["-o", "o.exr", "--preview", "p.jpg"]), 2, &["p.jpg", ".png"]);
+    fails(dir.path(), &with(&["-o", "o.exr", "--preview", "p.gif"]), 2, &["p.gif", ".png"]);
 }
 
 #[test]

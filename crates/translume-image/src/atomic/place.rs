@@ -56,9 +56,10 @@ pub fn place(path: &Path) -> Result<Place> {
         let there = match std::fs::symlink_metadata(&at) {
             Ok(there) => there,
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
-                return match ends_as_folder(path) {
-                    true => refuse(io::ErrorKind::IsADirectory, folder),
-                    false => Ok(Place::File(at)),
+                return match (ends_as_folder(path), super::folder_of(&at).is_dir()) {
+                    (true, _) => refuse(io::ErrorKind::IsADirectory, folder),
+                    (_, false) => refuse(io::ErrorKind::NotFound, "its folder does not exist"),
+                    _ => Ok(Place::File(at)),
                 };
             }
             Err(e) => return Err(Error::io(path, e)),

@@ -45,6 +45,8 @@ pub struct ExrOptions {
     pub command: Option<String>,
     /// Seed of random numbers, if any were used (`seed`).
     pub seed: Option<u64>,
+    /// Fingerprint of what was rendered (`scene`): pictures are averaged only where it agrees.
+    pub scene: Option<String>,
     /// Anything else worth telling (`comments`).
     pub comments: Option<String>,
 }
@@ -185,6 +187,7 @@ fn layer_attributes(picture: &Picture, options: &ExrOptions) -> LayerAttributes 
     };
     put("command", options.command.clone());
     put("seed", options.seed.map(|s| s.to_string()));
+    put("scene", options.scene.clone());
     put("cameraModel", metadata.camera.clone());
     LayerAttributes {
         exposure: number(metadata.exposure_secs),

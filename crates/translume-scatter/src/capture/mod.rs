@@ -4,7 +4,7 @@ mod rig;
 mod surface;
 mod zarr;
 
-pub use rig::{Camera, Channel, Laser, RIG_VERSION, Rig, View};
+pub use rig::{Camera, Channel, Laser, RIG_VERSION, Rig, View, rgb_of};
 pub(crate) use rig::{dot, norm, normalize, sub};
 pub use surface::{Place, Surface, Texels};
 pub use zarr::{DIMENSIONS, Frames};
@@ -38,12 +38,24 @@ impl Capture {
         check(&file, &rig)?;
         let frames = Frames::open(&path.join(&rig.frames))?;
         agree(&file, &rig, &frames)?;
+        if let Some(doubt) = rig.doubts() {
+            log::warn!("{}: {doubt}", file.display());
+        }
         let mesh_file = path.join(&rig.mesh);
         let loaded = translume_mesh::read(&mesh_file, &ReadOptions::default())
             .map_err(|e| Error::invalid(&file, format!("its mesh: {e}")))?;
         let mesh = loaded.merged().filter(|m| !m.indices.is_empty());
         let mesh = mesh.ok_or_else(|| Error::invalid(&mesh_file, "no triangles"))?;
         Ok(Self { path: path.to_owned(), rig, mesh, frames })
+    }
+
+    /// The same with its channels in the order red, green, blue, if it has these; the files stay as they are.
+    pub fn in_rgb_order(mut self) -> Self {
+        let Some(order) = self.rig.rgb().filter(|_| self.rig.channels.len() == 3) else { return self };
+        self.rig.channels = order.map(|c| self.rig.channels[c].clone()).to_vec();
+        self.rig.laser.power = order.map(|c| self.rig.laser.power[c]).to_vec();
+        self.frames.reorder_channels(order);
+        self
     }
 
     /// Whether the surface is the plane z = 0, but for 2 % of its width.

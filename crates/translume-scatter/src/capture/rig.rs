@@ -9,6 +9,7 @@ pub const RIG_VERSION: &str = "1.1";
 
 /// The whole rig.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Rig {
     /// `translume capture`.
     pub format: String,
@@ -51,13 +52,25 @@ impl Rig {
     }
 }
 
+/// Which of the channels with these names are red, green and blue; a single one is all three. `None` for other sets.
+pub fn rgb_of<'a>(names: impl IntoIterator<Item = &'a str>) -> Option<[usize; 3]> {
+    let names: Vec<&str> = names.into_iter().collect();
+    if names.len() == 1 {
+        return Some([0; 3]);
+    }
+    let find = |name: &str| names.iter().position(|n| n.eq_ignore_ascii_case(name));
+    Some([find("red")?, find("green")?, find("blue")?])
+}
+
 /// A colour of the laser and the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Channel {
     /// Its name.
     pub name: String,
-    /// Wavelength in nm.
-    pub wavelength_nm: f64,
+    /// Wavelength in nm. Nothing is computed from it but whether it goes with the name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wavelength_nm: Option<f64>,
     /// Factor that makes a white target white.
     pub white_balance: f64,
     /// Standard deviation of the noise of a dark pixel, in the unit of the frames.
@@ -66,6 +79,7 @@ pub struct Channel {
 
 /// A position of camera and turntable.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct View {
     /// Angle of the turntable; the pose already contains it.
     pub turntable_deg: f64,
@@ -75,6 +89,7 @@ pub struct View {
 
 /// A pinhole camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Camera {
     /// Columns of a frame.
     pub width: usize,
@@ -90,6 +105,7 @@ pub struct Camera {
 
 /// The laser projector.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Laser {
     /// Where the beams come from.
     pub origin_mm: [f64; 3],
@@ -104,6 +120,22 @@ pub struct Laser {
     pub grid: [usize; 2],
     /// Where each beam hits the object, in the order of the frames' second dimension.
     pub hits_mm: Vec<[f64; 3]>,
+}
+
+impl Rig {
+    /// Which channels are red, green and blue, by [`rgb_of`].
+    pub fn rgb(&self) -> Option<[usize; 3]> {
+        rgb_of(self.channels.iter().map(|c| c.name.as_str()))
+    }
+
+    /// What is odd, though it can be worked with: wavelengths that contradict the channels' names.
+    pub fn doubts(&self) -> Option<String> {
+        let [r, g, b] = self.rgb()?.map(|c| self.channels[c].wavelength_nm);
+        let longer = |a: Option<f64>, b: Option<f64>| a.zip(b).is_none_or(|(a, b)| a >= b);
+        let right = longer(r, g) && longer(g, b) && longer(r, b);
+        (!right)
+            .then(|| "wavelengths do not fall from red over green to blue: are the channels' names right?".to_owned())
+    }
 }
 
 impl Laser {

@@ -26,6 +26,8 @@ pub struct Frames {
     pub shape: [usize; 5],
     half: bool,
     gzip: bool,
+    /// Where on disk each channel is, if not in order.
+    channels: Option<[usize; 3]>,
 }
 
 impl Frames {
@@ -48,7 +50,7 @@ impl Frames {
         });
         let file = path.join("zarr.json");
         atomic::write_bytes(&file, format!("{meta:#}\n").as_bytes())?;
-        Ok(Self { path: path.to_owned(), shape, half: false, gzip: true })
+        Ok(Self { path: path.to_owned(), shape, half: false, gzip: true, channels: None })
     }
 
     /// Reads the description of the array in the folder `path`.
@@ -94,12 +96,24 @@ impl Frames {
         let gzip = match codecs {
             [bytes] if little(bytes) => false,
             [bytes, gzip] if little(bytes) && gzip["name"] == "gzip" => true,
-            _ => return Err(refuse("its codecs are not little-endian bytes, alone or with gzip".into())),
+            _ => {
+                let name = |c: &Value| c["name"].as_str().unwrap_or("without a name").to_owned();
+                let names = codecs.iter().map(name).collect::<Vec<_>>().join(", ");
+                let wanted =
+                    "little-endian bytes, alone or with gzip, are read (zarr-python: compressors=[GzipCodec()])";
+                return Err(refuse(format!("codecs {names}; {wanted}")));
+            }
         };
-        Ok(Self { path: path.to_owned(), shape, half, gzip })
+        Ok(Self { path: path.to_owned(), shape, half, gzip, channels: None })
+    }
+
+    /// From now on channel i is what channel `order[i]` was.
+    pub(super) fn reorder_channels(&mut self, order: [usize; 3]) {
+        self.channels = Some(order.map(|c| self.channels.map_or(c, |before| before[c])));
     }
 
     fn chunk(&self, view: usize, position: usize, channel: usize) -> PathBuf {
+        let channel = self.channels.map_or(channel, |order| order[channel]);
         let mut path = self.path.join("c");
         [view, position, channel, 0, 0].iter().for_each(|i| path.push(i.to_string()));
         path

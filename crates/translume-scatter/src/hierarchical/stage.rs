@@ -88,9 +88,10 @@ impl Stage {
             );
             return Err(Error::unsupported(&file, what));
         }
-        if ![1, 3].contains(&capture.rig.channels.len()) {
-            let what =
-                format!("{} channels; hierarchical models have one, or red, green, blue", capture.rig.channels.len());
+        let capture = capture.in_rgb_order();
+        if ![1, 3].contains(&capture.rig.channels.len()) || capture.rig.rgb().is_none() {
+            let names: Vec<&str> = capture.rig.channels.iter().map(|c| c.name.as_str()).collect();
+            let what = format!("channels {}: hierarchical models have one, or red, green and blue", names.join(", "));
             return Err(Error::unsupported(&capture.path.join("rig.json"), what));
         }
         let atlas = Atlas::new(&mesh, params).ok_or_else(|| {

@@ -7,6 +7,7 @@ mod hierarchical;
 mod planar;
 mod vertex;
 
+use crate::capture::rgb_of;
 use glam::Vec3;
 use serde_json::Value;
 use std::path::Path;
@@ -53,15 +54,8 @@ fn same_mesh(
 
 /// Which channel is red, green and blue.
 fn colours(file: &Path, names: &[String]) -> Result<[usize; 3]> {
-    let find = |name: &str| names.iter().position(|n| n.eq_ignore_ascii_case(name));
-    match (names.len(), find("red"), find("green"), find("blue")) {
-        (1, ..) => Ok([0; 3]),
-        (_, Some(r), Some(g), Some(b)) => Ok([r, g, b]),
-        _ => Err(Error::unsupported(
-            file,
-            format!("channels {names:?}: red, green and blue or one for all are rendered"),
-        )),
-    }
+    let what = || format!("channels {names:?}: red, green and blue or one for all are rendered");
+    rgb_of(names.iter().map(String::as_str)).ok_or_else(|| Error::unsupported(file, what()))
 }
 
 /// A bound of fall-offs at growing distances, so that it need not be looked for at each.

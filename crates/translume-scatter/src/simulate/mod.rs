@@ -135,7 +135,7 @@ pub(crate) fn transmittance(camera: &Camera, px: [f64; 2], eta: f64) -> f64 {
 
 /// A channel as the rig knows it before the capture.
 fn channel((name, wavelength_nm): (&str, f64)) -> Channel {
-    Channel { name: name.into(), wavelength_nm, white_balance: 1.0, noise_floor: 0.0 }
+    Channel { name: name.into(), wavelength_nm: Some(wavelength_nm), white_balance: 1.0, noise_floor: 0.0 }
 }
 
 /// The camera as it really stood: turned about its own axes by a random shift of the picture.

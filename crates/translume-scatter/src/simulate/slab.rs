@@ -131,6 +131,10 @@ impl Stage for SlabStage {
         light[bins.clone()].iter().zip(&self.radiance[bins]).map(|(l, f)| l.map(|l| l * f)).collect()
     }
 
+    fn views(&self) -> usize {
+        self.cameras.len()
+    }
+
     fn sees(&self, _: usize, _: usize) -> bool {
         true
     }

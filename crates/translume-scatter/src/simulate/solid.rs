@@ -251,6 +251,10 @@ impl Stage for SolidStage<'_> {
         self.views[view].iter().map(pixel).collect()
     }
 
+    fn views(&self) -> usize {
+        self.view_stops.len()
+    }
+
     fn sees(&self, view: usize, position: usize) -> bool {
         self.view_stops[view] == self.position_stops[position]
     }

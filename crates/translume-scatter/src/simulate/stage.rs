@@ -25,6 +25,9 @@ pub(super) trait Stage: Sync {
     /// Radiance of the pixels of a view, from what was counted.
     fn frame(&self, view: usize, light: &[[f64; 3]]) -> Vec<[f64; 3]>;
 
+    /// Number of views.
+    fn views(&self) -> usize;
+
     /// Whether a view has frames of a laser position.
     fn sees(&self, view: usize, position: usize) -> bool;
 }
@@ -175,7 +178,7 @@ impl Pilot {
                     stage.record(&exit, &mut light);
                 });
             }
-            let views = (0..).take_while(|&v| v < params.views * params.cameras).filter(|&v| stage.sees(v, position));
+            let views = (0..stage.views()).filter(|&v| stage.sees(v, position));
             let brightest = views.flat_map(|v| stage.frame(v, &light)).flatten().fold(0.0, f64::max);
             (rings, brightest)
         };

@@ -5,6 +5,7 @@ use super::model::VertexModel;
 use super::samples::MeshCapture;
 use super::uniform::UniformModel;
 use crate::capture::Texels;
+use crate::capture::rgb_of;
 use crate::fit::Model;
 use crate::model_folder::write_model;
 use serde::{Deserialize, Serialize};
@@ -168,7 +169,7 @@ pub fn load_vertex_model(path: &Path, mesh: &MeshCapture) -> Result<(VertexHead,
 pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMesh)> {
     let file = path.join("model.json");
     let value = read_json(&file, FORMAT)?;
-    let Whole { head, mut model, .. }: Whole =
+    let Whole { mut head, mut model, .. }: Whole =
         serde_json::from_value(value).map_err(|e| Error::invalid(&file, e.to_string()))?;
     let mesh = read_mesh(path)?;
     let sound = |v: &super::Vertex| v.scale.len() == head.channels.len() && v.fall_off.segments.len() <= 1;
@@ -182,7 +183,25 @@ pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMes
         return Err(Error::invalid(&file, "its vertices do not go with its mesh and channels"));
     }
     (model.texture, model.texture_samples) = read_texture(path, &head, &mesh, model.texels_per_edge)?;
+    if let Some(order) = reorder(&mut head) {
+        model.vertices.iter_mut().for_each(|v| v.scale = order.map(|c| v.scale[c]).to_vec());
+        in_order(&mut model.texture, order);
+        in_order(&mut model.texture_samples, order);
+    }
     Ok((head, model, mesh))
+}
+
+/// Brings the channels of a model into the order red, green, blue, if it has these in another one; says what came from where.
+fn reorder(head: &mut VertexHead) -> Option<[usize; 3]> {
+    let three = head.channels.len() == 3;
+    let order = rgb_of(head.channels.iter().map(String::as_str)).filter(|o| three && *o != [0, 1, 2])?;
+    head.channels = order.map(|c| head.channels[c].clone()).to_vec();
+    head.gains.iter_mut().for_each(|g| g.power = order.map(|c| g.power[c]).to_vec());
+    Some(order)
+}
+
+fn in_order<T: Clone>(channels: &mut Vec<T>, order: [usize; 3]) {
+    *channels = order.map(|c| channels[c].clone()).to_vec();
 }
 
 /// Reads a model with one fall-off and its mesh.
@@ -192,7 +211,7 @@ pub fn read_vertex_model(path: &Path) -> Result<(VertexHead, VertexModel, TriMes
 pub fn read_uniform_model(path: &Path) -> Result<(VertexHead, UniformModel, TriMesh)> {
     let file = path.join("model.json");
     let value = read_json(&file, UNIFORM_FORMAT)?;
-    let WholeUniform { head, mut model, .. }: WholeUniform =
+    let WholeUniform { mut head, mut model, .. }: WholeUniform =
         serde_json::from_value(value).map_err(|e| Error::invalid(&file, e.to_string()))?;
     let mesh = read_mesh(path)?;
     if head.channels.is_empty()
@@ -202,6 +221,11 @@ pub fn read_uniform_model(path: &Path) -> Result<(VertexHead, UniformModel, TriM
         return Err(Error::invalid(&file, "its fall-offs do not go with its channels"));
     }
     (model.texture, model.texture_samples) = read_texture(path, &head, &mesh, model.texels_per_edge)?;
+    if let Some(order) = reorder(&mut head) {
+        in_order(&mut model.curves, order);
+        in_order(&mut model.texture, order);
+        in_order(&mut model.texture_samples, order);
+    }
     Ok((head, model, mesh))
 }
 

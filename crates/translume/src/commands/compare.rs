@@ -76,12 +76,14 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     if let Some(folder) = &args.report {
         let names = (args.reference.to_string_lossy(), args.test.to_string_lossy());
         files = write_report(folder, (&reference, &test), (&names.0, &names.1), &found)?;
-        ctx.note(format_args!("report in {}", folder.join("index.html").display()));
     }
     let rows = found.rows();
     let table: Vec<String> = rows.iter().map(|(n, v, meaning)| format!("{n:13} {v:14.6}   {meaning}")).collect();
     ctx.text(table.join("\n"))?;
     let (width, height) = reference.pixels.dimensions();
+    if let Some(folder) = &args.report {
+        ctx.done(&folder.join("index.html"), format_args!("{width} × {height} pixels compared"))?;
+    }
     let mut object = Map::new();
     // JSON knows no infinity: the PSNR of equal pictures is null.
     object.extend(rows.iter().map(|(name, value, _)| ((*name).to_owned(), json!(value))));

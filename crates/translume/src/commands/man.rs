@@ -41,7 +41,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         atomic::write_bytes(&path, &page(command)?)?;
         files.push(path.to_string_lossy().into_owned());
     }
-    ctx.note(format_args!("{} pages in {}", files.len(), dir.display()));
+    ctx.done(&dir, format_args!("{} pages", files.len()))?;
     ctx.emit_json(json!({ "files": files }))
 }
 

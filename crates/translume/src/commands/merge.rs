@@ -33,7 +33,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let inputs: Vec<&Path> = args.inputs.iter().map(PathBuf::as_path).collect();
     ctx.claim(&inputs, &[&args.output])?;
     let mut renders: Vec<(String, Channels)> = Vec::new();
-    let (mut size, mut seeds) = (None, Vec::new());
+    let (mut size, mut seeds, mut scenes) = (None, Vec::new(), Vec::new());
     for path in &args.inputs {
         let planes = read_exr_channels(path, 0)?;
         let own = (planes.width, planes.height);
@@ -45,19 +45,24 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
             own.1
         );
         renders.push((path.display().to_string(), planes.planes));
-        if let Some(seed) = seed_of(path)? {
+        let parts = read_exr_parts(path)?;
+        let said = |name: &str| parts.first().and_then(|p| p.texts.iter().find(|t| t.0 == name)).map(|t| t.1.clone());
+        scenes.push(said("scene"));
+        if let Some(seed) = said("seed") {
             if seeds.contains(&seed) {
                 ctx.warn(format!("{}: seed {seed} comes twice: the same samples count twice", path.display()));
             }
             seeds.push(seed);
         }
     }
+    let scene = one_scene(&args.inputs, &scenes, ctx)?;
     let merged = merge::merge(&renders)?;
     let channels: Vec<(&str, &[f32])> = merged.iter().map(|(name, values)| (name.as_str(), &values[..])).collect();
     let options = ExrOptions {
         precision: Precision::Float,
         software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
         command: Some(ctx.command_line.clone()),
+        scene,
         ..Default::default()
     };
     write_exr_channels(&args.output, size.unwrap_or_default(), &channels, &options)?;
@@ -71,8 +76,20 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     }))
 }
 
-/// The seed that the file's provenance tells.
-fn seed_of(path: &Path) -> anyhow::Result<Option<String>> {
-    let parts = read_exr_parts(path)?;
-    Ok(parts.first().and_then(|p| p.texts.iter().find(|t| t.0 == "seed")).map(|t| t.1.clone()))
+/// The fingerprint that all renders have. Files that say none, as of other programs, are taken on trust, with a warning.
+fn one_scene(files: &[PathBuf], scenes: &[Option<String>], ctx: &Context) -> anyhow::Result<Option<String>> {
+    let mut known = files.iter().zip(scenes).filter_map(|(file, scene)| Some((file, scene.as_ref()?)));
+    let first = known.next();
+    if let Some((file, (other, _))) = first.and_then(|f| Some((f.0, known.find(|k| k.1 != f.1)?))) {
+        let (a, b) = (file.display(), other.display());
+        anyhow::bail!("{b}: a render of another scene, camera or path length than {a}: they are not averaged");
+    }
+    let silent = files.iter().zip(scenes).find(|f| f.1.is_none());
+    if let Some((file, _)) = silent.filter(|_| files.len() > 1) {
+        ctx.warn(format_args!(
+            "{}: it does not say what it is a render of; taken for the same as the others",
+            file.display()
+        ));
+    }
+    Ok(first.map(|f| f.1.clone()))
 }

@@ -114,7 +114,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "OUT.png")]
     preview: Option<PathBuf>,
     /// Value of a parameter of the scene file
-    #[arg(long, value_name = "NAME=VALUE", value_parser = parse_define)]
+    #[arg(long, alias = "define", value_name = "NAME=VALUE", value_parser = parse_define)]
     set: Vec<(String, String)>,
     /// Leave out what is not supported, with a warning
     #[arg(long)]
@@ -157,8 +157,10 @@ pub(super) fn parse_size(text: &str) -> Result<[u32; 2], String> {
 }
 
 pub(super) fn parse_define(text: &str) -> Result<(String, String), String> {
-    let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
-    Ok((name.into(), value.into()))
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.trim_start_matches('$').into(), value.into())),
+        _ => Err("write NAME=VALUE".into()),
+    }
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
@@ -191,6 +193,9 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         fingerprint: fingerprint(&scene, &format!("{name} {settings:?} {method_options:?}")),
         seed: args.seed,
     };
+    // Other methods and random numbers give the same picture in the limit; what else differs does not.
+    let views = args.camera_path.as_ref().and_then(|p| std::fs::read_to_string(p).ok());
+    let pictured = format!("{:?}", (settings.max_depth, settings.hide_emitters, args.size, views));
     if shots.len() > 1 {
         integrator.prepare_views(&shots);
     }
@@ -208,7 +213,8 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         };
         let (output, denoised) = (name_of(&args.output), args.denoise.as_ref().map(name_of));
         ctx.protect(&inputs(&args), &[&*output])?;
-        let reporter = Reporter { args: &args, ctx, identity, output, denoised, stop: stop.clone() };
+        let scene = format!("{:016x}", fingerprint(&scene, &format!("{pictured}, view {number}")));
+        let reporter = Reporter { args: &args, ctx, identity, scene, output, denoised, stop: stop.clone() };
         let progress = reporter.watch(shot, &mut film, &until)?;
         frames.push(reporter.finish(&film, &name, &progress, loaded, told(&*integrator, shot, &progress))?);
         if stop.load(Ordering::Relaxed) {
@@ -326,6 +332,8 @@ struct Reporter<'a> {
     args: &'a Args,
     ctx: &'a Context,
     identity: Identity,
+    /// Fingerprint of what the picture is of, whatever the method.
+    scene: String,
     output: PathBuf,
     denoised: Option<PathBuf>,
     stop: Arc<AtomicBool>,
@@ -379,6 +387,7 @@ impl Reporter<'_> {
             software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
             command: Some(self.ctx.command_line.clone()),
             seed: Some(self.args.seed),
+            scene: Some(self.scene.clone()),
             ..Default::default()
         };
         let channels = film.channels();

@@ -1,5 +1,6 @@
 //! `translume scene`: what a scene file holds.
 
+use super::render::parse_define;
 use crate::output::Context;
 use anyhow::Result;
 use serde_json::{Value, json};
@@ -15,7 +16,7 @@ const INFO_EXAMPLES: &str = "\
 Examples:
   translume scene info scene.xml
   translume scene info scene.xml --json
-  translume scene info --define spp=16 --lenient old-scene.xml";
+  translume scene info --set spp=16 --lenient old-scene.xml";
 
 /// Look at scene files
 #[derive(Debug, clap::Args)]
@@ -40,21 +41,14 @@ struct InfoArgs {
     /// Leave out what is not supported, with a warning, instead of giving up
     #[arg(long)]
     lenient: bool,
-    /// Give a $NAME of a Mitsuba file a value
-    #[arg(long, value_name = "NAME=VALUE", value_parser = definition)]
-    define: Vec<(String, String)>,
-}
-
-fn definition(text: &str) -> Result<(String, String), String> {
-    match text.split_once('=') {
-        Some((name, value)) if !name.is_empty() => Ok((name.trim_start_matches('$').to_owned(), value.to_owned())),
-        _ => Err("write NAME=VALUE".to_owned()),
-    }
+    /// Value of a parameter of the scene file
+    #[arg(long, alias = "define", value_name = "NAME=VALUE", value_parser = parse_define)]
+    set: Vec<(String, String)>,
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> Result<()> {
     let Verb::Info(args) = args.verb;
-    let options = super::load_options(args.lenient, args.define);
+    let options = super::load_options(args.lenient, args.set);
     let scene = translume_scene::load(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     ctx.text(text(&scene).trim_end())?;

@@ -39,8 +39,13 @@ impl Run {
         assert_eq!(self.status, status, "{}{}", self.stdout, self.stderr);
         let lines: Vec<_> = self.stderr.lines().collect();
         assert!(lines.len() == 1 && lines[0].starts_with("translume: error: "), "not one line: {}", self.stderr);
-        assert_eq!(self.stdout, "", "a failed run prints no result");
-        lines[0].trim_start_matches("translume: error: ").to_owned()
+        let line = lines[0].trim_start_matches("translume: error: ").to_owned();
+        // With --json the same once more as an object, and no result in any case.
+        if !self.stdout.is_empty() {
+            let object: serde_json::Value = serde_json::from_str(&self.stdout).expect("a failed run prints no result");
+            assert_eq!((object["error"].as_str(), object["status"].as_i64()), (Some(&line[..]), Some(status.into())));
+        }
+        line
     }
 }
 

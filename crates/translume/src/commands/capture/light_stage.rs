@@ -78,7 +78,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MIB", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     memory: u32,
     /// Value of a parameter of the scene file
-    #[arg(long, value_name = "NAME=VALUE", value_parser = parse_define)]
+    #[arg(long, alias = "define", value_name = "NAME=VALUE", value_parser = parse_define)]
     set: Vec<(String, String)>,
     /// Leave out what is not supported, with a warning
     #[arg(long)]

@@ -71,6 +71,6 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         page::escape(&ctx.command_line)
     );
     page::write(&page_file, "translume: from camera to picture", &introduction, &chapters)?;
-    ctx.text(format_args!("open {}", page_file.display()))?;
+    ctx.done(&page_file, format_args!("{} chapters; open it in a browser", CHAPTERS.len()))?;
     ctx.emit_json(json!({ "page": page_file, "figures": figures }))
 }

@@ -182,10 +182,13 @@ fn fit_list(args: &Args, params: Params, ctx: &Context) -> anyhow::Result<()> {
             summary.not_finite
         ));
     }
-    ctx.text(format!(
-        "{} points, {} samples above the noise floor: RMS of ln(model/sample) {:.4} in the mean, {:.4} at worst",
-        summary.fitted, summary.samples, summary.mean_rms, summary.worst_rms
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "{} points, {} samples above the noise floor: RMS of ln(model/sample) {:.4} in the mean, {:.4} at worst",
+            summary.fitted, summary.samples, summary.mean_rms, summary.worst_rms
+        ),
+    )?;
     let mut report = json!(summary_json(&summary));
     report["output"] = args.output.to_string_lossy().into();
     ctx.emit_json(report)
@@ -201,7 +204,7 @@ fn summary_json(s: &translume_scatter::Summary) -> serde_json::Value {
 fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
     ctx.protect(&[&args.input], &[&args.output])?;
     translume_scatter::check_model_folder(&args.output)?;
-    let opened = Capture::open(&args.input)?;
+    let opened = Capture::open(&args.input)?.in_rgb_order();
     if !opened.is_flat() {
         return fit_mesh(args, fit, opened, ctx);
     }
@@ -257,10 +260,13 @@ fn fit_capture(args: &Args, fit: Params, ctx: &Context) -> anyhow::Result<()> {
     let mean = rms.iter().sum::<f64>() / rms.len() as f64;
     let seen: Vec<f32> = model.texture_samples.iter().flatten().flatten().copied().collect();
     let textured = seen.iter().filter(|n| **n > 0.0).count() as f64 / seen.len() as f64;
-    ctx.text(format!(
-        "{fitted} lit points: RMS of ln(fall-off/sample) {mean:.4} in the mean; modulation known for {:.0} % of the pixels",
-        100.0 * textured
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "{fitted} lit points: RMS of ln(fall-off/sample) {mean:.4} in the mean; modulation known for {:.0} % of the pixels",
+            100.0 * textured
+        ),
+    )?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "points": model.points.len(), "fitted": fitted,
         "missing_frames": capture.missing, "mean_rms": mean, "textured": textured,
@@ -305,14 +311,17 @@ fn fit_mesh(args: &Args, fit: Params, opened: Capture, ctx: &Context) -> anyhow:
     let vertices = model.vertices.len();
     let seen = model.texture_samples.iter().flatten().filter(|n| **n > 0.0).count();
     let textured = seen as f64 / model.texture_samples.iter().map(Vec::len).sum::<usize>() as f64;
-    ctx.text(format!(
-        "{vertices} vertices: {measured} measured, {} interpolated, from {} laser positions of which {} gave no stable fit; \
-         modulation known for {:.0} % of the surface",
-        vertices - measured - empty,
-        mesh.beams.len(),
-        model.unstable,
-        100.0 * textured
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "{vertices} vertices: {measured} measured, {} interpolated, from {} laser positions of which {} gave no stable \
+             fit; modulation known for {:.0} % of the surface",
+            vertices - measured - empty,
+            mesh.beams.len(),
+            model.unstable,
+            100.0 * textured
+        ),
+    )?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "vertices": vertices, "measured": measured, "empty": empty,
         "positions": mesh.beams.len(), "unstable": model.unstable, "faults": model.faults, "textured": textured,
@@ -337,11 +346,14 @@ fn fit_whole(args: &Args, fit: &Params, mesh: &MeshCapture, ctx: &Context) -> an
     let bar = ctx.progress(3 * mesh.beams.len() as u64, "fitting");
     let model = fit_uniform(mesh, fit, || bar.inc(1))?;
     save_uniform_model(&args.output, &head(args, fit, mesh, ctx), &model, mesh)?;
-    ctx.text(format!(
-        "one fall-off for each colour, fitted up to {:.1} mm; error of the square roots of pixels held out {:.3}",
-        model.reach_mm,
-        model.held_out_error.sqrt()
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "one fall-off for each colour, fitted up to {:.1} mm; error of the square roots of pixels held out {:.3}",
+            model.reach_mm,
+            model.held_out_error.sqrt()
+        ),
+    )?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "reach_mm": model.reach_mm, "held_out_error": model.held_out_error,
         "positions": mesh.beams.len(),

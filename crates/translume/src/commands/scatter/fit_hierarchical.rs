@@ -54,16 +54,20 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let texels = model.atlas.texels.len();
     let modulated = model.detail_weight.iter().filter(|w| **w > 0.0).count() as f64 / texels as f64;
     let completion = told.completion;
-    ctx.text(format!(
-        "{vertices} vertices, {:.0} % of their pairs measured; {} vertices were never lit and {} never seen, theirs is completed\n\
-         {texels} kernels, {} of them measured, error of spots held out {:.3}; modulation known for {:.0} % of the surface",
-        100.0 * completion.measured,
-        completion.never_lit,
-        completion.never_seen,
-        told.measured_kernels,
-        told.kernel_error,
-        100.0 * modulated
-    ))?;
+    ctx.done(
+        &args.output,
+        format_args!(
+            "{vertices} vertices, {:.0} % of their pairs measured; {} vertices were never lit and {} never seen, their values \
+             are filled in; {texels} kernels, {} of them measured, error of spots held out {:.3}; modulation known for {:.0} % \
+             of the surface",
+            100.0 * completion.measured,
+            completion.never_lit,
+            completion.never_seen,
+            told.measured_kernels,
+            told.kernel_error,
+            100.0 * modulated
+        ),
+    )?;
     ctx.emit_json(json!({
         "output": args.output.to_string_lossy(), "vertices": vertices, "measured": completion.measured,
         "never_lit": completion.never_lit, "never_seen": completion.never_seen, "kernels": texels,

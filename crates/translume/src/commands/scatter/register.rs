@@ -161,6 +161,7 @@ fn tell(args: &Args, capture: &Capture, told: &RegisterReport, ctx: &Context) ->
     let shown: Vec<String> = white.iter().map(|w| format!("{w:.4}")).collect();
     let kept = if args.white.is_empty() { ", as it was: no pictures of a white target" } else { "" };
     ctx.text(format!("white balance {}{kept}", shown.join(" ")))?;
+    ctx.done(&args.output, format_args!("{} views, {} beams past the mesh", told.views.len(), told.missed))?;
     ctx.emit_json(json!({ "output": args.output.to_string_lossy(), "views": told.views, "beams": told.beams,
         "missed": told.missed, "white_balance": white }))
 }

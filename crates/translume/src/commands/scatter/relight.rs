@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use translume_image::Error;
 use translume_mesh::TriMesh;
-use translume_scatter::capture::Surface;
+use translume_scatter::capture::{Surface, rgb_of};
 use translume_scatter::hierarchical::{Atlas, AtlasParams};
 use translume_scatter::hierarchical::{HIERARCHICAL_FORMAT, Hierarchical, load_hierarchical};
 use translume_scatter::relight::{Lighting, Part, Power, Relighter, Sight, Sources, uniform_picture, vertex_picture};
@@ -104,10 +104,12 @@ fn load(path: &Path) -> anyhow::Result<(Loaded, TriMesh, f64)> {
         }
         Some("translume vertex model") => {
             let (head, model, mesh) = read_vertex_model(path)?;
+            wants_colours(&file, &head.channels)?;
             (Loaded::Vertex(model), mesh, head.eta)
         }
         Some(UNIFORM_FORMAT) => {
             let (head, model, mesh) = read_uniform_model(path)?;
+            wants_colours(&file, &head.channels)?;
             (Loaded::Uniform(model), mesh, head.eta)
         }
         Some("translume planar model") => {
@@ -115,6 +117,12 @@ fn load(path: &Path) -> anyhow::Result<(Loaded, TriMesh, f64)> {
         }
         _ => return Err(anyhow!("{}: not a model of translume", file.display())),
     })
+}
+
+/// Pictures are of red, green and blue.
+fn wants_colours(file: &Path, channels: &[String]) -> anyhow::Result<()> {
+    let what = || format!("channels {}: one, or red, green and blue can be relit", channels.join(", "));
+    rgb_of(channels.iter().map(String::as_str)).map(drop).ok_or_else(|| Error::unsupported(file, what()).into())
 }
 
 /// A model in front of the camera.

@@ -54,7 +54,7 @@ pub(super) struct Told {
 
 pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.protect(&[&args.capture, &args.model], &[&args.output])?;
-    let opened = Capture::open(&args.capture)?;
+    let opened = Capture::open(&args.capture)?.in_rgb_order();
     // The threshold of the model decides what is a sample; it is known once the model is read.
     let threshold = threshold_of(&args.model)?;
     let told = match opened.is_flat() {
@@ -62,6 +62,14 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
         true => super::report_planar::tell(args, opened, threshold, ctx)?,
         false => super::report_mesh::tell(args, opened, threshold, ctx)?,
     };
+    for row in &told.rows {
+        if (0..told.channels.len()).all(|c| !row.errors.mean(c).ln_e.is_finite()) {
+            ctx.warn(format_args!(
+                "{}: it says nothing about any of these pixels, so its errors are unknown (NaN)",
+                row.name
+            ));
+        }
+    }
     let table = table(&told.channels, &told.rows);
     write_csv(&args.output.join("errors.csv"), &table)?;
     ctx.text(text(&table))?;
@@ -76,6 +84,7 @@ pub(super) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     };
     let introduction = format!("<p>{}</p>", page::escape(&ctx.command_line));
     page::write(&args.output.join("index.html"), told.title, &introduction, &[chapter])?;
+    ctx.done(&args.output.join("index.html"), format_args!("{} lit points", told.points))?;
     let models = told.rows.iter().map(|r| {
         let means: Vec<_> = (0..told.channels.len()).map(|c| r.errors.mean(c)).collect();
         json!({ "model": r.name, "ln_e": means.iter().map(|m| m.ln_e).collect::<Vec<_>>(),
