@@ -203,7 +203,9 @@ impl Context {
     /// Ends a verb that wrote something, in one line of one form for all: `OUTPUT: what it is`, on standard output. Nothing
     /// with `--quiet`.
     pub(crate) fn done(&self, output: &Path, what: impl Display) -> anyhow::Result<()> {
-        if self.quiet { Ok(()) } else { self.text(format_args!("{}: {what}", output.display())) }
+        let line = format!("{}: {what}", output.display());
+        self.log("result", &line);
+        if self.quiet { Ok(()) } else { self.text(line) }
     }
 
     /// The result as one JSON object, on standard output; nothing without `--json`. Called once in a run. The run's
@@ -345,7 +347,7 @@ pub(crate) fn usage_line(error: &clap::Error, verb: &str) -> String {
 
 /// What the standard library says of text that is no number, and what it means.
 const NUMBER_WORDS: [(&str, &str); 6] = [
-    ("invalid digit found in string", "a whole number is wanted"),
+    ("invalid digit found in string", "a whole number is wanted, without sign or fraction"),
     ("invalid float literal", "a number is wanted"),
     ("number too large to fit in target type", "the number is too large"),
     ("number too small to fit in target type", "the number is too small"),

@@ -140,3 +140,71 @@ fn agree(file: &Path, rig: &Rig, frames: &Frames) -> Result<()> {
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig(names: [&str; 3]) -> Rig {
+        let camera = Camera::looking_at([0.0, 0.0, 100.0], [0.0; 3], [0.0, 1.0, 0.0], (2, 1), 10.0);
+        let channel =
+            |name: &&str| Channel { name: (*name).into(), wavelength_nm: None, white_balance: 1.0, noise_floor: 0.0 };
+        let laser = Laser {
+            origin_mm: [0.0, 0.0, 50.0],
+            origins_mm: Vec::new(),
+            beam_diameter_mm: 1.0,
+            power: vec![1.0, 2.0, 3.0],
+            grid: [1, 1],
+            hits_mm: vec![[0.0; 3]],
+        };
+        let views = vec![View { turntable_deg: 0.0, camera }];
+        Rig::new(1.3, names.iter().map(channel).collect(), views, laser)
+    }
+
+    fn mesh() -> TriMesh {
+        let positions = vec![[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0]];
+        TriMesh { positions, indices: vec![[0, 1, 2]], ..TriMesh::default() }
+    }
+
+    #[test]
+    fn channels_are_what_their_names_say() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("capture");
+        let made = Capture::create(&path, rig(["blue", "Green", "red"]), mesh()).unwrap();
+        for c in 0..3 {
+            made.frames.write([0, 0, c], &[c as f32; 2]).unwrap();
+        }
+        let stored = Capture::open(&path).unwrap();
+        assert_eq!(stored.frames.read(0, 0, 0).unwrap().unwrap(), [0.0; 2]);
+        let capture = stored.in_rgb_order();
+        let names: Vec<&str> = capture.rig.channels.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["red", "Green", "blue"]);
+        assert_eq!(capture.rig.laser.power, [3.0, 2.0, 1.0]);
+        let firsts = [0, 1, 2].map(|c| capture.frames.read(0, 0, c).unwrap().unwrap()[0]);
+        assert_eq!(firsts, [2.0, 1.0, 0.0]);
+        // What has no colours in its names stays as it is.
+        assert_eq!(rgb_of(["a", "b", "c"]), None);
+        assert_eq!(rgb_of(["gray"]), Some([0; 3]));
+    }
+
+    #[test]
+    fn unknown_keys_and_wavelengths_that_contradict_names_are_seen() {
+        let text = serde_json::to_value(rig(["red", "green", "blue"])).unwrap();
+        for (place, key) in
+            [("/views/0/camera", "distortion"), ("/laser", "powers"), ("", "unit"), ("/channels/1", "gain")]
+        {
+            let mut odd = text.clone();
+            odd.pointer_mut(place).unwrap()[key] = serde_json::json!(1);
+            let error = serde_json::from_value::<Rig>(odd).unwrap_err().to_string();
+            assert!(error.contains(key), "{error}");
+        }
+        let mut rig: Rig = serde_json::from_value(text).unwrap();
+        assert_eq!(rig.doubts(), None);
+        rig.channels[0].wavelength_nm = Some(473.0);
+        rig.channels[2].wavelength_nm = Some(635.0);
+        assert!(rig.doubts().is_some());
+        rig.channels[0].name = "blue".into();
+        rig.channels[2].name = "red".into();
+        assert_eq!(rig.doubts(), None);
+    }
+}
