@@ -221,6 +221,10 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
             break;
         }
     }
+    let next = camera_path::frame_name(&args.output, frames.len());
+    if args.camera_path.is_some() && frames.len() == shots.len() && next.exists() {
+        ctx.warn(format_args!("{}: a frame of an older, longer path; this one ends before it", next.display()));
+    }
     ctx.emit_json(match args.camera_path {
         Some(_) => json!({ "frames": frames }),
         None => frames.swap_remove(0),

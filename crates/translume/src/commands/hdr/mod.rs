@@ -475,19 +475,29 @@ fn write_fields(
     (w, h): (usize, usize),
     options: &ExrOptions,
 ) -> anyhow::Result<()> {
-    std::fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display()))?;
     let options = ExrOptions { precision: Precision::Float, ..options.clone() };
-    for (i, (e, a)) in exposures.iter().zip(&merged.aligned).enumerate() {
-        let (mut dx, mut dy) = (vec![0.0f32; w * h], vec![0.0f32; w * h]);
-        for y in 0..h {
-            for x in 0..w {
-                [dx[y * w + x], dy[y * w + x]] = a.field.displacement(x as f32, y as f32);
-            }
-        }
-        let path = dir.join(format!("{i:02}-{}.exr", sets::stem(&e.name)));
-        translume_image::write_exr_channels(&path, (w, h), &[("X", &dx), ("Y", &dy)], &options)?;
+    // Fields of an older, longer bracket would be taken for this one's.
+    let is_field = |name: &str| {
+        let number = || name.strip_suffix(".exr")?.split_once('-')?.0.parse::<u32>().ok();
+        number().is_some()
+    };
+    if let Some(above) = dir.parent() {
+        std::fs::create_dir_all(above).with_context(|| format!("cannot create {}", dir.display()))?;
     }
-    Ok(())
+    let written = atomic::write_folder(dir, is_field, |new| {
+        for (i, (e, a)) in exposures.iter().zip(&merged.aligned).enumerate() {
+            let (mut dx, mut dy) = (vec![0.0f32; w * h], vec![0.0f32; w * h]);
+            for y in 0..h {
+                for x in 0..w {
+                    [dx[y * w + x], dy[y * w + x]] = a.field.displacement(x as f32, y as f32);
+                }
+            }
+            let path = new.join(format!("{i:02}-{}.exr", sets::stem(&e.name)));
+            translume_image::write_exr_channels(&path, (w, h), &[("X", &dx), ("Y", &dy)], &options)?;
+        }
+        Ok(())
+    });
+    Ok(written?)
 }
 
 fn load_response(path: &Path) -> anyhow::Result<Response> {

@@ -119,9 +119,11 @@ fn table(channels: &[String], rows: &[Row]) -> Table {
 }
 
 fn text(table: &Table) -> String {
+    let all = || std::iter::once(&table.columns).chain(&table.rows);
+    let width = all().map(|cells| cells[0].chars().count()).max().unwrap_or(0);
     let line = |cells: &[String]| {
-        let rest: Vec<String> = cells[1..].iter().map(|c| format!("{c:>11}")).collect();
-        format!("{:22}{}", cells[0], rest.join(""))
+        let rest: Vec<String> = cells[1..].iter().map(|c| format!("{c:>13}")).collect();
+        format!("{:width$}{}", cells[0], rest.join(""))
     };
     std::iter::once(line(&table.columns)).chain(table.rows.iter().map(|r| line(r))).collect::<Vec<_>>().join("\n")
 }

@@ -101,7 +101,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", default_value_t = 4_000)]
     photons: usize,
     /// How evenly the noise of the walk lies over all distances from the beam, 0 to 1: with 1 faint places are as sure as bright ones, with
-    /// 0.5 a photon costs a tenth and many more can be sent
+    /// 0.5 a photon costs a sixth (a small object) to a fortieth (a wide slab), and more can be sent
     #[arg(long, value_name = "FRACTION", default_value_t = 1.0)]
     evenness: f64,
     /// Dynamic range of the camera; without it, it has no noise
