@@ -63,7 +63,8 @@ fn an_output_that_is_an_input_is_refused_by_any_name() {
 fn the_name_says_the_format_or_nothing_is_written() {
     let dir = tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
-    (picture(&at("a.png")), picture(&at("b.png")));
+    picture(&at("a.png"));
+    picture(&at("b.png"));
     let hdr = |more: &[&str]| {
         let args = ["hdr", "a.png", "b.png", "--ev", "0,2", "--preset", "tripod"];
         translume(dir.path(), &[&args[..], more].concat())
@@ -172,7 +173,8 @@ fn interrupted_runs_keep_what_there_is_and_say_so() {
         let (code, said) = interrupted(dir.path(), &args, signal, || at("p.png").exists());
         assert_eq!(code, Some(status), "{said}");
         assert!(at("o.exr").exists() && said.contains("interrupted"), "{said}");
-        (fs::remove_file(at("o.exr")).unwrap(), fs::remove_file(at("p.png")).unwrap());
+        fs::remove_file(at("o.exr")).unwrap();
+        fs::remove_file(at("p.png")).unwrap();
     }
     // A time that is reached is what was asked for.
     translume(dir.path(), &["render", "s.xml", "-o", "o.exr", "--time", "0.2s"]).ok();
