@@ -149,14 +149,11 @@ fn shoot(folder: &Path, object: (&Solid, &Medium), ctx: &Context) -> anyhow::Res
         ..CaptureParams::default()
     };
     let label = json!({ "medium": "marble", "pattern": PATTERN, "command": ctx.command_line });
-    let (beside, place) = (tempfile::Builder::new().prefix(".translume-").tempdir_in(folder)?, folder.join("capture"));
+    let place = folder.join("capture");
     let free = !place.exists() || place.join("rig.json").exists();
     ensure!(free, "{}: it exists and is no capture; remove it", place.display());
-    capture_solid(&beside.path().join("capture"), object, &params, label, |_| ())?;
-    if place.exists() {
-        std::fs::remove_dir_all(&place).with_context(|| format!("cannot replace {}", place.display()))?;
-    }
-    std::fs::rename(beside.path().join("capture"), &place).with_context(|| place.display().to_string())?;
+    let is_part = |name: &str| ["rig.json", "mesh.ply", "frames"].contains(&name);
+    atomic::write_folder(&place, is_part, |new| capture_solid(new, object, &params, label, |_| ()))?;
     Ok(Capture::open(&place)?)
 }
 
