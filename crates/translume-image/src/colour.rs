@@ -35,6 +35,9 @@ impl Space {
     /// ACEScg (AP1).
     pub const ACESCG: Self = Self { primaries: [[0.713, 0.293], [0.165, 0.830], [0.128, 0.044]], white: ACES_WHITE };
 
+    /// Adobe RGB (1998).
+    pub const ADOBE_RGB: Self = Self { primaries: [[0.64, 0.33], [0.21, 0.71], [0.15, 0.06]], white: D65 };
+
     /// The spaces that pictures are written in, by the names that options take.
     pub const NAMED: [(&'static str, Self); 3] =
         [("rec709", Self::REC709), ("rec2020", Self::REC2020), ("acescg", Self::ACESCG)];

@@ -3,23 +3,38 @@
 use crate::{Metadata, orient::Orientation};
 use exif::{Exif, Field, In, Tag, Value};
 
+/// What a block says beside the facts of the shot.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Block {
+    pub orientation: Orientation,
+    /// The optional colour space of DCF 2.0, Adobe RGB: cameras say it by the index R03 and embed no profile.
+    pub adobe_rgb: bool,
+}
+
 /// Fills what `block` (a TIFF structure, as it stands in JPEG, PNG and TIFF files) says into `metadata`.
 /// Damaged fields are left out: a broken tag is no reason to refuse the pixels.
-pub(crate) fn read_block(block: Vec<u8>, metadata: &mut Metadata) -> Orientation {
+pub(crate) fn read_block(block: Vec<u8>, metadata: &mut Metadata) -> Block {
     let mut reader = exif::Reader::new();
     reader.continue_on_error(true);
     match reader.read_raw(block).or_else(|e| e.distill_partial_result(|_| ())) {
-        Ok(exif) => fill(&|tag| Exif::get_field(&exif, tag, In::PRIMARY), metadata),
-        Err(_) => Orientation::default(),
+        Ok(exif) => {
+            let field = |tag| Exif::get_field(&exif, tag, In::PRIMARY);
+            let index = field(Tag::InteroperabilityIndex).and_then(|f| text(&f.value));
+            Block { orientation: fill(&field, metadata), adobe_rgb: index.as_deref() == Some("R03") }
+        }
+        Err(_) => Block::default(),
     }
 }
 
 /// [`read_block`] for a whole TIFF file, without a copy of it.
-pub(crate) fn read_tiff(file: &[u8], metadata: &mut Metadata) -> Orientation {
-    match exif::parse_exif(file) {
-        Ok((fields, _)) => fill(&|tag| fields.iter().find(|f| f.tag == tag && f.ifd_num == In::PRIMARY), metadata),
-        Err(_) => Orientation::default(),
+pub(crate) fn read_tiff(file: &[u8], metadata: &mut Metadata) {
+    if let Ok((fields, _)) = exif::parse_exif(file) {
+        read_fields(&fields, metadata);
     }
+}
+
+fn read_fields(fields: &[Field], metadata: &mut Metadata) {
+    fill(&|tag| fields.iter().find(|f| f.tag == tag && f.ifd_num == In::PRIMARY), metadata);
 }
 
 fn fill<'a>(field: &dyn Fn(Tag) -> Option<&'a Field>, metadata: &mut Metadata) -> Orientation {
@@ -31,7 +46,13 @@ fn fill<'a>(field: &dyn Fn(Tag) -> Option<&'a Field>, metadata: &mut Metadata) -
         positive(Tag::ExposureTime).or_else(|| value(Tag::ShutterSpeedValue).map(|tv| (-tv).exp2()).filter(sane));
     metadata.f_number =
         positive(Tag::FNumber).or_else(|| value(Tag::ApertureValue).map(|av| (av / 2.0).exp2()).filter(sane));
-    metadata.iso = positive(Tag::PhotographicSensitivity).or_else(|| positive(Tag::ISOSpeed));
+    // 65535 of 16 bits says that the number is in one of the newer tags (EXIF 2.3, §4.6.5).
+    metadata.iso = positive(Tag::PhotographicSensitivity)
+        .filter(|v| *v != 65535.0)
+        .or_else(|| positive(Tag::RecommendedExposureIndex))
+        .or_else(|| positive(Tag::StandardOutputSensitivity))
+        .or_else(|| positive(Tag::ISOSpeed))
+        .or_else(|| positive(Tag::PhotographicSensitivity));
     metadata.camera = match (words(Tag::Make), words(Tag::Model)) {
         (Some(make), Some(model)) if !model.starts_with(&make) => Some(format!("{make} {model}")),
         (make, model) => model.or(make),
@@ -61,4 +82,48 @@ fn text(value: &Value) -> Option<String> {
     let joined = parts.iter().map(|p| String::from_utf8_lossy(p)).collect::<Vec<_>>().join(" ");
     let trimmed = joined.trim_matches(|c: char| c.is_whitespace() || c == '\0');
     (!trimmed.is_empty()).then(|| trimmed.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use exif::{Rational, SRational};
+
+    fn facts(fields: &[(Tag, Value)]) -> Metadata {
+        let field = |(tag, value): &(Tag, Value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() };
+        let fields: Vec<Field> = fields.iter().map(field).collect();
+        let mut metadata = Metadata::default();
+        read_fields(&fields, &mut metadata);
+        metadata
+    }
+
+    fn ratio(num: u32, denom: u32) -> Value {
+        Value::Rational(vec![Rational { num, denom }])
+    }
+
+    #[test]
+    fn apex_values_stand_in_for_times_that_are_none() {
+        let tv = (Tag::ShutterSpeedValue, Value::SRational(vec![SRational { num: 6, denom: 1 }]));
+        for time in [ratio(0, 0), ratio(1, 0), ratio(0, 1), Value::Rational(Vec::new())] {
+            assert_eq!(facts(&[(Tag::ExposureTime, time), tv.clone()]).exposure_secs, Some(1.0 / 64.0));
+        }
+        assert_eq!(facts(&[(Tag::ExposureTime, ratio(1, 50)), tv]).exposure_secs, Some(0.02));
+        assert_eq!(facts(&[(Tag::ExposureTime, ratio(0, 0))]).exposure_secs, None);
+        let found = facts(&[(Tag::FNumber, ratio(0, 0)), (Tag::ApertureValue, ratio(4, 1))]);
+        assert_eq!(found.f_number, Some(4.0));
+    }
+
+    #[test]
+    fn speeds_beyond_16_bits_are_in_another_tag() {
+        let short = |v: u16| Value::Short(vec![v]);
+        let speed = |v: u16| (Tag::PhotographicSensitivity, short(v));
+        let index = (Tag::RecommendedExposureIndex, Value::Long(vec![102_400]));
+        assert_eq!(facts(&[speed(65535), index.clone()]).iso, Some(102_400.0));
+        assert_eq!(facts(&[speed(0), index.clone()]).iso, Some(102_400.0));
+        assert_eq!(facts(&[speed(400), index]).iso, Some(400.0));
+        assert_eq!(facts(&[speed(65535)]).iso, Some(65535.0));
+        assert_eq!(facts(&[(Tag::ISOSpeed, Value::Long(vec![800]))]).iso, Some(800.0));
+        // The first of several.
+        assert_eq!(facts(&[(Tag::PhotographicSensitivity, Value::Short(vec![200, 0]))]).iso, Some(200.0));
+    }
 }

@@ -7,6 +7,7 @@
 //! This crate knows nothing about where a picture comes from or what it is for.
 
 pub mod atomic;
+mod cicp;
 mod codes;
 pub mod colour;
 pub mod compare;
@@ -15,6 +16,7 @@ mod error;
 mod exif;
 mod formats;
 pub mod guard;
+mod icc;
 pub mod limits;
 mod linear;
 pub mod metrics;
@@ -37,4 +39,6 @@ pub use formats::tiff::{write_tiff_float, write_tiff8, write_tiff16};
 pub use image::Rgb32FImage;
 pub use orient::Orientation;
 pub use picture::{Metadata, Picture};
-pub use read::{Format, decode_codes, decode_picture, decode_straight, read_codes, read_layer, read_picture};
+pub use read::{
+    Format, TextureCodes, decode_codes, decode_picture, decode_texture, read_codes, read_layer, read_picture,
+};

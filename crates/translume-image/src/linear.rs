@@ -1,35 +1,58 @@
-//! Codes to linear Rec. 709: the sRGB curve, PNG gamma, ICC profiles, and primaries named by OpenEXR or Radiance.
+//! Codes to linear Rec. 709: the sRGB curve, PNG gamma and code points, ICC profiles, and primaries that a file names.
 
 use crate::colour::{self, Matrix, Space};
 use crate::raster::Transfer;
-use crate::{Codes, Error, Metadata, Result, Samples, primaries};
-use moxcms::{ColorProfile, DataColorSpace, Layout, TransformOptions};
+use crate::{Codes, Metadata, Samples, icc};
 use rayon::prelude::*;
 use std::path::Path;
 
 /// Pixels that one task converts.
-const CHUNK: usize = 1 << 14;
+pub(crate) const CHUNK: usize = 1 << 14;
 
-/// Linear Rec. 709 values of `codes`, interleaved RGB. Colours outside Rec. 709 get negative values; none is clipped.
-pub(crate) fn linearise(codes: Codes, transfer: Transfer, path: &Path) -> Result<(Vec<f32>, Metadata)> {
+/// Linear Rec. 709 values of `codes` (of a gray picture with equal channels if `gray`), interleaved RGB. Colours
+/// outside Rec. 709 get negative values; none is clipped. A profile that cannot be used is a warning: the pixels are
+/// sound, and read as if it were not there.
+pub(crate) fn linearise(codes: Codes, transfer: Transfer, gray: bool, path: &Path) -> (Vec<f32>, Metadata) {
     let Codes { samples, mut metadata, .. } = codes;
     let icc = metadata.icc.take();
     let chromaticities = metadata.chromaticities.take();
-    let mut rgb = match icc {
-        Some(profile) => through_profile(samples, &profile, path)?,
-        None => {
-            let decode = move |v: f32| match transfer {
-                Transfer::Srgb => colour::srgb_to_linear(v),
-                Transfer::Power(g) => v.powf(g),
-            };
-            through_curves(samples, [&decode, &decode, &decode])
-        }
+    let samples = match icc {
+        Some(profile) => match through_profile(samples, &profile, gray, path) {
+            Ok(rgb) => return (rgb, metadata),
+            Err(samples) => samples,
+        },
+        None => samples,
     };
-    // Float sources without a curve of their own carry primaries instead.
+    let decode = move |v: f32| match transfer {
+        Transfer::Srgb => colour::srgb_to_linear(v),
+        Transfer::Power(g) => v.powf(g),
+        Transfer::Video(curve) => curve.light(v),
+    };
+    let mut rgb = through_curves(samples, [&decode, &decode, &decode], false);
     if let Some(space) = chromaticities.and_then(Space::from_chromaticities).filter(|s| differs(s, &Space::REC709)) {
         multiply(&mut rgb, &space.to(&Space::REC709));
     }
-    Ok((rgb, metadata))
+    (rgb, metadata)
+}
+
+/// Linear light through an ICC profile; the samples again, and a warning, if it cannot be used.
+fn through_profile(samples: Samples, profile: &[u8], gray: bool, path: &Path) -> Result<Vec<f32>, Samples> {
+    let bits = if matches!(samples, Samples::U8(_)) { 8 } else { 16 };
+    let float = matches!(samples, Samples::F32(_));
+    let warn = |what: String| {
+        let instead = if float { "linear Rec. 709" } else { "sRGB" };
+        log::warn!("{}: its ICC profile cannot be used ({what}); read as {instead}", path.display());
+    };
+    match icc::Reading::new(profile, gray, bits) {
+        Ok(reading) => reading.apply(samples, path).map_err(|(what, samples)| {
+            warn(what);
+            samples
+        }),
+        Err(what) => {
+            warn(what);
+            Err(samples)
+        }
+    }
 }
 
 /// Whether two spaces differ by more than rounding in a file.
@@ -45,8 +68,8 @@ pub(crate) fn multiply(rgb: &mut [f32], m: &Matrix) {
 
 type Curve<'a> = &'a (dyn Fn(f32) -> f32 + Sync);
 
-/// One curve a channel; by table for integers, floats pass through (they are linear by definition here).
-fn through_curves(samples: Samples, curves: [Curve<'_>; 3]) -> Vec<f32> {
+/// One curve a channel, by table for integers; floats go through the curves only if `floats`.
+pub(crate) fn through_curves(samples: Samples, curves: [Curve<'_>; 3], floats: bool) -> Vec<f32> {
     fn table(curve: Curve<'_>, full: usize) -> Vec<f32> {
         (0..=full).map(|i| curve(i as f32 / full as f32)).collect()
     }
@@ -62,74 +85,25 @@ fn through_curves(samples: Samples, curves: [Curve<'_>; 3]) -> Vec<f32> {
     match samples {
         Samples::U8(v) => look_up(&v, &curves.map(|c| table(c, 255))),
         Samples::U16(v) => look_up(&v, &curves.map(|c| table(c, 65535))),
-        Samples::F32(v) => v,
-    }
-}
-
-fn through_profile(samples: Samples, profile: &[u8], path: &Path) -> Result<Vec<f32>> {
-    let unusable = |what: String| {
-        Error::unsupported(path, format!("cannot use the embedded ICC profile ({what}); strip it or convert to sRGB"))
-    };
-    let profile = ColorProfile::new_from_slice(profile).map_err(|e| unusable(e.to_string()))?;
-    match profile.color_space {
-        DataColorSpace::Gray => {
-            let curve = profile.gray_trc.as_ref().ok_or_else(|| unusable("no gray curve".into()))?;
-            let curve = curve.make_linear_evaluator().map_err(|e| unusable(e.to_string()))?;
-            let curve = |v: f32| curve.evaluate_value(v);
-            Ok(through_curves(samples, [&curve, &curve, &curve]))
+        Samples::F32(mut v) => {
+            if floats {
+                let pixels = v.as_chunks_mut::<3>().0.par_iter_mut().with_min_len(CHUNK);
+                pixels.for_each(|p| *p = [curves[0](p[0]), curves[1](p[1]), curves[2](p[2])]);
+            }
+            v
         }
-        DataColorSpace::Rgb if profile.is_matrix_shaper() => {
-            let curves = [&profile.red_trc, &profile.green_trc, &profile.blue_trc].map(|trc| {
-                trc.as_ref()
-                    .ok_or_else(|| "no curves".to_owned())
-                    .and_then(|t| t.make_linear_evaluator().map_err(|e| e.to_string()))
-            });
-            let [r, g, b] = curves;
-            let (r, g, b) = (r.map_err(unusable)?, g.map_err(unusable)?, b.map_err(unusable)?);
-            let [r, g, b] = [&r, &g, &b].map(|c| move |v: f32| c.evaluate_value(v));
-            let mut rgb = match samples {
-                // Float TIFF: the profile's curves apply to floats too.
-                Samples::F32(mut v) => {
-                    for p in v.as_chunks_mut::<3>().0 {
-                        *p = [r(p[0]), g(p[1]), b(p[2])];
-                    }
-                    v
-                }
-                integers => through_curves(integers, [&r, &g, &b]),
-            };
-            multiply(&mut rgb, &primaries::matrix_of(&profile));
-            Ok(rgb)
-        }
-        DataColorSpace::Rgb => through_tables(samples, &profile).map_err(unusable),
-        other => Err(unusable(format!("it is for {other:?}, the pixels are RGB"))),
     }
-}
-
-/// Profiles with look-up tables, through the colour management library.
-fn through_tables(samples: Samples, profile: &ColorProfile) -> std::result::Result<Vec<f32>, String> {
-    let identity = |v: f32| v;
-    let encoded = through_curves(samples, [&identity, &identity, &identity]);
-    let srgb = ColorProfile::new_srgb();
-    let transform = profile
-        .create_transform_f32(Layout::Rgb, &srgb, Layout::Rgb, TransformOptions::default())
-        .map_err(|e| e.to_string())?;
-    let mut out = vec![0.0; encoded.len()];
-    for (from, to) in encoded.chunks(3 * CHUNK).zip(out.chunks_mut(3 * CHUNK)) {
-        transform.transform(from, to).map_err(|e| e.to_string())?;
-        to.iter_mut().for_each(|v| *v = colour::srgb_to_linear(*v));
-    }
-    Ok(out)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moxcms::{LutDataType, LutStore, LutType, LutWarehouse, Matrix3d, ProfileClass};
+    use moxcms::{ColorProfile, LutDataType, LutStore, LutType, LutWarehouse, Matrix3d, ProfileClass};
 
     fn linear(profile: &ColorProfile, samples: Samples) -> Vec<f32> {
         let metadata = Metadata { icc: Some(profile.encode().unwrap()), ..Metadata::default() };
         let codes = Codes { width: 2, height: 1, samples, metadata };
-        linearise(codes, Transfer::Srgb, Path::new("a.png")).unwrap().0
+        linearise(codes, Transfer::Srgb, profile.gray_trc.is_some(), Path::new("a.png")).0
     }
 
     fn near(got: &[f32], expected: &[f32], tolerance: f32) {
@@ -194,13 +168,27 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_profile_for_rgb_is_refused() {
-        for profile in [b"no profile".to_vec(), ColorProfile::new_lab().encode().unwrap()] {
+    fn what_is_no_profile_for_these_pixels_leaves_them_srgb() {
+        let gray = ColorProfile::new_gray_with_gamma(1.8).encode().unwrap();
+        for profile in [b"no profile".to_vec(), ColorProfile::new_lab().encode().unwrap(), gray] {
             let metadata = Metadata { icc: Some(profile), ..Metadata::default() };
-            let codes = Codes { width: 1, height: 1, samples: Samples::U8(vec![0; 3]), metadata };
-            let error = linearise(codes, Transfer::Srgb, Path::new("a.png")).unwrap_err().to_string();
-            assert!(error.starts_with("a.png: ") && error.contains("ICC"), "{error}");
+            let codes = Codes { width: 1, height: 1, samples: Samples::U8(vec![0, 128, 255]), metadata };
+            let (got, _) = linearise(codes, Transfer::Srgb, false, Path::new("a.png"));
+            near(&got, &[0.0, colour::srgb_to_linear(128.0 / 255.0), 1.0], 1e-6);
         }
+    }
+
+    #[test]
+    fn a_gray_float_picture_goes_through_its_gray_profile() {
+        let got = linear(&ColorProfile::new_gray_with_gamma(2.0), Samples::F32(vec![0.5, 0.5, 0.5, 3.0, 3.0, 3.0]));
+        near(&got, &[0.25, 0.25, 0.25, 9.0, 9.0, 9.0], 1e-4);
+    }
+
+    #[test]
+    fn a_profile_that_names_pq_is_read_as_pq() {
+        // Code 38056 of 65535 is 203 cd/m², reference white.
+        let got = linear(&ColorProfile::new_bt2020_pq(), Samples::U16(vec![38056, 38056, 38056, 0, 0, 0]));
+        near(&got, &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0], 1e-3);
     }
 
     #[test]
@@ -208,7 +196,7 @@ mod tests {
         let metadata = Metadata { chromaticities: Some(Space::ACESCG.chromaticities()), ..Metadata::default() };
         let samples = Samples::F32(vec![0.5, 0.5, 0.5, 1.0, 0.0, 0.0]);
         let (got, metadata) =
-            linearise(Codes { width: 2, height: 1, samples, metadata }, Transfer::Power(1.0), Path::new("a")).unwrap();
+            linearise(Codes { width: 2, height: 1, samples, metadata }, Transfer::Power(1.0), false, Path::new("a"));
         // ACEScg red, D60 adapted to D65 by Bradford.
         near(&got, &[0.5, 0.5, 0.5, 1.705, -0.130, -0.024], 1e-3);
         assert_eq!(metadata.chromaticities, None);

@@ -12,7 +12,13 @@ pub fn to_rec709(metadata: &Metadata) -> Option<Matrix> {
     if let Some(space) = metadata.chromaticities.and_then(Space::from_chromaticities) {
         return differs_from_identity(space.to(&Space::REC709));
     }
-    let profile = ColorProfile::new_from_slice(metadata.icc.as_deref()?).ok()?;
+    let profile = match ColorProfile::new_from_slice(metadata.icc.as_deref()?) {
+        Ok(profile) => profile,
+        Err(e) => {
+            log::warn!("an embedded ICC profile cannot be used ({e}): the primaries are taken for those of Rec. 709");
+            return None;
+        }
+    };
     if profile.color_space != DataColorSpace::Rgb {
         return None;
     }

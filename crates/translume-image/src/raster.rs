@@ -1,6 +1,6 @@
 //! What every decoder hands over: stored samples of one to four channels, with the facts beside them.
 
-use crate::{Codes, Metadata, Samples, orient::Orientation};
+use crate::{Codes, Metadata, Samples, cicp, orient::Orientation};
 
 /// How integer samples are to be read as light, where no ICC profile says so.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -8,6 +8,8 @@ pub(crate) enum Transfer {
     Srgb,
     /// Light is the code to this power (PNG gAMA; 1 is linear).
     Power(f32),
+    /// A curve of H.273 (PNG cICP).
+    Video(cicp::Curve),
 }
 
 /// A decoded file before colour management. Channels: gray, gray + alpha, RGB, RGBA.

@@ -1,10 +1,9 @@
 //! Reading any supported file.
 
 use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tga, tiff};
-use crate::raster::Raster;
-use crate::{Codes, Error, Picture, Result, Samples, linear};
+use crate::raster::{Raster, Transfer};
+use crate::{Codes, Error, Orientation, Picture, Result, Samples, limits, linear};
 use image::Rgb32FImage;
-use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -47,7 +46,7 @@ impl Format {
     /// [`Error::Io`]; [`Error::Invalid`] and [`Error::Unsupported`] for what is none of them.
     pub fn of_file(path: &Path) -> Result<Self> {
         let mut head = Vec::with_capacity(16);
-        let file = File::open(path).map_err(|e| Error::io(path, e))?;
+        let (file, _) = limits::open(path)?;
         file.take(16).read_to_end(&mut head).map_err(|e| Error::io(path, e))?;
         format_of(&head, path)
     }
@@ -76,9 +75,10 @@ pub fn read_codes(path: &Path) -> Result<Codes> {
     Ok(read(path, None)?.into_codes().0)
 }
 
-/// Reads linear light in Rec. 709: 8 and 16-bit files through their ICC profile or the sRGB curve, OpenEXR and Radiance
-/// through their primaries (whites adapted by Bradford). NaN and infinities pass through; see
-/// [`Picture::count_non_finite`].
+/// Reads linear light in Rec. 709: 8 and 16-bit files through what they say about their colour or the sRGB curve, OpenEXR
+/// and Radiance through their primaries (whites adapted by Bradford). NaN and infinities pass through; see
+/// [`Picture::count_non_finite`]. What had to be passed over (a damaged profile, layers beside the one that is read) is
+/// a warning in the log.
 ///
 /// # Errors
 /// As [`read_codes`].
@@ -103,12 +103,35 @@ pub fn decode_codes(file: &[u8], name: &Path) -> Result<Codes> {
     Ok(decode(file, name)?.into_codes().0)
 }
 
-/// [`decode_picture`] with colours as the file stores them where it has alpha: not multiplied by it. Textures are meant so.
+/// How the numbers of a texture are meant, where the scene and not the picture file says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TextureCodes {
+    /// Integer codes are sRGB, whatever the file says; floats are linear, in the primaries that the file names.
+    Srgb,
+    /// The numbers as they stand, integers over their maximum.
+    Stored,
+}
+
+/// A texture in memory; `name` stands in messages. Scene formats give the meaning of the codes and the place of texture
+/// coordinates themselves: profiles, gamma and code points of integer files are passed over, and so is the orientation
+/// of EXIF. Colours are not multiplied by alpha.
 ///
 /// # Errors
 /// As [`read_codes`].
-pub fn decode_straight(file: &[u8], name: &Path) -> Result<Picture> {
-    picture(Raster { associated: true, ..decode(file, name)? }, name)
+pub fn decode_texture(file: &[u8], name: &Path, codes: TextureCodes) -> Result<Picture> {
+    let mut raster = decode(file, name)?;
+    let exif = matches!(Format::of(file), Some(Format::Png | Format::Jpeg | Format::Tiff));
+    if exif {
+        raster.orientation = Orientation::default();
+    }
+    raster.associated = true;
+    let float = matches!(raster.samples, Samples::F32(_));
+    if codes == TextureCodes::Stored || !float {
+        raster.metadata.icc = None;
+        raster.metadata.chromaticities = None;
+        raster.transfer = if codes == TextureCodes::Stored { Transfer::Power(1.0) } else { Transfer::Srgb };
+    }
+    picture(raster, name)
 }
 
 /// [`read_picture`] of a file in memory; `name` stands in messages.
@@ -120,10 +143,10 @@ pub fn decode_picture(file: &[u8], name: &Path) -> Result<Picture> {
 }
 
 fn picture(raster: Raster, path: &Path) -> Result<Picture> {
-    let (transfer, associated) = (raster.transfer, raster.associated);
+    let (transfer, associated, gray) = (raster.transfer, raster.associated, raster.channels < 3);
     let (codes, alpha) = raster.into_codes();
     let (width, height) = (codes.width as u32, codes.height as u32);
-    let (mut rgb, metadata) = linear::linearise(codes, transfer, path)?;
+    let (mut rgb, metadata) = linear::linearise(codes, transfer, gray, path);
     if let Some(alpha) = alpha.as_ref().filter(|_| !associated) {
         rgb.as_chunks_mut::<3>().0.iter_mut().zip(alpha).for_each(|(p, a)| *p = p.map(|v| v * a));
     }
@@ -134,11 +157,10 @@ fn picture(raster: Raster, path: &Path) -> Result<Picture> {
 
 fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
     let io = |e| Error::io(path, e);
-    let mut file = File::open(path).map_err(io)?;
+    let (mut file, length) = limits::open(path)?;
     if raw::is_raw(path) {
         return raw::read(path);
     }
-    let length = file.metadata().map_err(io)?.len();
     let mut head = Vec::with_capacity(16);
     (&mut file).take(16).read_to_end(&mut head).map_err(io)?;
     file.seek(SeekFrom::Start(0)).map_err(io)?;
@@ -155,7 +177,7 @@ fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
     bytes
         .try_reserve_exact(usize::try_from(length).unwrap_or(usize::MAX))
         .map_err(|_| Error::unsupported(path, "the file is larger than this machine's memory"))?;
-    file.read_to_end(&mut bytes).map_err(io)?;
+    file.take(length).read_to_end(&mut bytes).map_err(io)?;
     decode(&bytes, path)
 }
 

@@ -149,3 +149,29 @@ fn jpeg_keeps_a_smooth_picture() {
     assert!(rgb.iter().zip(&back).all(|(a, b)| a.abs_diff(*b) <= 6));
     assert!(write_jpeg(&path, (40, 31), &rgb, 95).is_err());
 }
+
+#[test]
+fn pfm_headers_may_end_in_cr_lf_and_hold_comments() {
+    let values: Vec<f32> = (0..12).map(|i| i as f32 / 6.0).collect();
+    let pixels: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    let upright: Vec<f32> = values[6..].iter().chain(&values[..6]).copied().collect();
+    for header in
+        ["PF\n2 2\n-1.0\n", "PF\r\n2 2\r\n-1.0\r\n", "PF\n# made by hand\n2 2\n# twice\n-1.0\n", "PF 2 2 -1.0\r"]
+    {
+        let file = [header.as_bytes(), &pixels].concat();
+        let picture = decode_picture(&file, std::path::Path::new("a.pfm")).unwrap();
+        assert_eq!(*picture.pixels.as_raw(), upright, "{header:?}");
+    }
+    // A carriage return alone, and a first pixel that begins with the byte of a line feed.
+    let mut odd = pixels;
+    odd[0] = b'\n';
+    let file = [b"PF\r2 2\r-1.0\r".as_slice(), &odd].concat();
+    let picture = decode_picture(&file, std::path::Path::new("a.pfm")).unwrap();
+    assert_eq!(picture.pixels.get_pixel(0, 1)[0], f32::from_le_bytes([b'\n', 0, 0, 0]));
+    assert_eq!(picture.pixels.get_pixel(1, 0)[2], values[11]);
+    // A positive scale is the other byte order, and a factor.
+    let big: Vec<u8> = values.iter().flat_map(|v| v.to_be_bytes()).collect();
+    let picture =
+        decode_picture(&[b"PF\n2 2\n0.5\n".as_slice(), &big].concat(), std::path::Path::new("a.pfm")).unwrap();
+    assert_eq!(picture.pixels.get_pixel(0, 1)[1], values[1] / 2.0);
+}

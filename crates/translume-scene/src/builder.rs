@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use translume_bxdf::{CustomBsdf, Rgb};
-use translume_image::{Picture, Rgb32FImage, Samples};
+use translume_image::{Picture, TextureCodes};
 use translume_mesh::{ReadOptions, TriMesh};
 
 /// Vertex normals of a mesh.
@@ -175,7 +175,8 @@ impl Builder {
         }
     }
 
-    /// A picture from a file: linear light, or for `raw` the stored numbers.
+    /// A picture from a file: linear light, or for `raw` the stored numbers. All three formats of scenes say themselves
+    /// which integer codes are sRGB: what the file says of its colour and orientation is passed over.
     pub(crate) fn image(&mut self, path: &Path, raw: bool) -> Result<Arc<Picture>> {
         if let Some(image) = self.images.get(&(path.to_owned(), raw)) {
             return Ok(image.clone());
@@ -190,12 +191,8 @@ impl Builder {
         if let Some(image) = self.images.get(&key) {
             return Ok(image.clone());
         }
-        let mut picture = translume_image::decode_straight(bytes, name)?;
-        if raw {
-            let codes = translume_image::decode_codes(bytes, name)?;
-            picture.pixels = unit_codes(&codes.samples, codes.width, codes.height)
-                .ok_or_else(|| Error::invalid(name, None, "fewer pixels than the header says"))?;
-        }
+        let codes = if raw { TextureCodes::Stored } else { TextureCodes::Srgb };
+        let picture = translume_image::decode_texture(bytes, name, codes)?;
         self.keep_image(key, picture)
     }
 
@@ -235,12 +232,28 @@ impl Builder {
     }
 }
 
-/// Codes over their maximum.
-fn unit_codes(samples: &Samples, width: usize, height: usize) -> Option<Rgb32FImage> {
-    let values = match samples {
-        Samples::U8(v) => v.iter().map(|&c| f32::from(c) / 255.0).collect(),
-        Samples::U16(v) => v.iter().map(|&c| f32::from(c) / 65535.0).collect(),
-        Samples::F32(v) => v.clone(),
-    };
-    Rgb32FImage::from_raw(width as u32, height as u32, values)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_png_says_of_its_gamma_does_not_matter_to_scenes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        translume_image::write_gray_png(&path, (2, 1), &[128, 255]).unwrap();
+        let plain = std::fs::read(&path).unwrap();
+        // gAMA 1.0 behind the header.
+        let gamma = [0, 0, 0, 4, b'g', b'A', b'M', b'A', 0x00, 0x01, 0x86, 0xa0, 0x31, 0xe8, 0x96, 0x5f];
+        let with = [&plain[..33], &gamma, &plain[33..]].concat();
+        let alone = translume_image::decode_picture(&with, &path).unwrap().pixels;
+        assert!((alone.get_pixel(0, 0)[0] - 128.0 / 255.0).abs() < 1e-6, "as a picture it is linear");
+        for (raw, wanted) in [(false, 0.215_860_5), (true, 128.0 / 255.0)] {
+            let mut builder = Builder::new(&path, &LoadOptions::default());
+            for (name, bytes) in [("plain.png", &plain), ("with.png", &with)] {
+                let image = builder.decoded_image(bytes, Path::new(name), raw).unwrap();
+                assert!((image.pixels.get_pixel(0, 0)[0] - wanted).abs() < 1e-6, "{name}, raw {raw}");
+            }
+            assert!(builder.scene.warnings.is_empty());
+        }
+    }
 }

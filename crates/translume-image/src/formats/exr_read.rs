@@ -5,8 +5,9 @@
 //! outside the display window is left out.
 
 use super::exr_chroma;
+use crate::limits::{self, Claim};
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, guard, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, guard, orient::Orientation};
 use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
 use exr::compression::Compression;
 use exr::math::Vec2;
@@ -49,7 +50,7 @@ pub struct ExrPart {
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] (deep data).
 pub fn read_exr_parts(path: &Path) -> Result<Vec<ExrPart>> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
+    let (file, _) = limits::open(path)?;
     let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| failed(path, e))?;
     Ok(meta.headers.iter().map(describe).collect())
 }
@@ -70,8 +71,7 @@ pub struct ExrPlanes {
 /// # Errors
 /// As [`crate::read_picture`]; subsampled channels are [`Error::Unsupported`].
 pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
-    let file_bytes = file.metadata().map_err(|e| Error::io(path, e))?.len();
+    let (file, file_bytes) = limits::open(path)?;
     let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
     let Some(header) = reader.headers().get(part).cloned() else {
         return Err(Error::Mismatch(format!("{}: there is no part {part}", path.display())));
@@ -80,6 +80,7 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
     let channels = &header.channels.list;
     reader.headers().iter().try_for_each(|h| check_stored(h, file_bytes, path))?;
+    decoded(&header, file_bytes).samples(path)?;
     let count = width * height * channels.len();
     let mut planes = limits::buffer::<f32>(path, count)?;
     read_lines(reader, part, path, |line| {
@@ -166,7 +167,9 @@ impl Frame {
         let size = (display.size.x() as u64, display.size.y() as u64);
         // A crop stores little of a large picture: 8K is always allowed. More must be backed by the file.
         let backed = if size.0.saturating_mul(size.1) <= 1 << 25 { u64::MAX } else { file_bytes };
-        limits::samples(path, size, slots as u64, 16 * slots as u64, backed, limits::MAX_RATIO)?;
+        let (channels, max_ratio) = (slots as u64, limits::MAX_RATIO);
+        Claim { size, channels, bits: 16 * channels, file_bytes: backed, max_ratio }.stored(path)?;
+        Claim { size, channels, bits: 0, file_bytes, max_ratio }.samples(path)?;
         let offset = (
             i64::from(data.position.x()) - i64::from(display.position.x()),
             i64::from(data.position.y()) - i64::from(display.position.y()),
@@ -335,17 +338,26 @@ fn read_lines<R: BufRead + Seek>(
 
 pub(crate) const DAMAGED_BLOCK: &str = "a damaged OpenEXR block; copy or render the file again";
 
-/// Whether the file can hold the pixels that a part says are stored.
-fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
-    let size = (header.layer_size.x() as u64, header.layer_size.y() as u64);
-    let channels = header.channels.list.len() as u64;
+/// What the header of a part says is stored.
+fn decoded(header: &Header, file_bytes: u64) -> Claim {
     let max_ratio = match header.compression {
         // Flat blocks are packed twice: by the cosine transform and by DEFLATE.
         Compression::DWAA(_) | Compression::DWAB(_) => 64 * limits::MAX_RATIO,
         _ => limits::MAX_RATIO,
     };
-    limits::samples(path, size, channels, 8 * header.channels.bytes_per_pixel as u64, file_bytes, max_ratio)?;
-    Ok(())
+    Claim {
+        size: (header.layer_size.x() as u64, header.layer_size.y() as u64),
+        channels: header.channels.list.len() as u64,
+        bits: 8 * header.channels.bytes_per_pixel as u64,
+        file_bytes,
+        max_ratio,
+    }
+}
+
+/// Whether the file can hold the pixels that a part says are stored. What is decoded of them is held against the limit
+/// where it is known which they are.
+fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
+    decoded(header, file_bytes).stored(path)
 }
 
 fn refuse_deep(path: &Path, header: &Header) -> Result<()> {

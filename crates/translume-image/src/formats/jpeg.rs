@@ -1,7 +1,8 @@
 //! JPEG: zune-jpeg's decoder, with the check for an end that it leaves to its caller.
 
+use crate::limits::{self, Claim};
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, atomic, exif, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, atomic, exif, orient::Orientation};
 use image::ImageEncoder;
 use std::path::Path;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
@@ -17,8 +18,9 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let (space, channels) = if gray { (ColorSpace::Luma, 1) } else { (ColorSpace::RGB, 3) };
     decoder.set_options(options.jpeg_set_out_colorspace(space));
-    let size = (width as u64, height as u64);
-    let count = limits::samples(path, size, channels, 8 * channels, file.len() as u64, limits::MAX_RATIO)?;
+    let (size, file_bytes) = ((width as u64, height as u64), file.len() as u64);
+    let claim = Claim { size, channels, bits: 8 * channels, file_bytes, max_ratio: limits::MAX_RATIO };
+    let count = claim.samples(path)?;
     if !reaches_end(file) {
         return Err(Error::invalid(path, "the JPEG ends before its picture does (truncated); copy the file again"));
     }
@@ -26,7 +28,7 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     decoder.decode_into(&mut samples).map_err(invalid)?;
 
     let mut metadata = Metadata { icc: decoder.icc_profile(), ..Metadata::default() };
-    let orientation = decoder.exif().map_or(Orientation::default(), |e| exif::read_block(e.clone(), &mut metadata));
+    let orientation = decoder.exif().map_or(Orientation::default(), |e| exif::read_block(e.clone(), &mut metadata).orientation);
     Ok(Raster {
         width,
         height,

@@ -6,6 +6,7 @@ pub(crate) mod exr_write;
 pub(crate) mod jpeg;
 pub(crate) mod pfm;
 pub(crate) mod png;
+pub(crate) mod png_chunks;
 pub(crate) mod radiance;
 pub(crate) mod raw;
 pub(crate) mod tga;

@@ -1,14 +1,17 @@
 //! Portable float map (Debevec): `PF` or `Pf`, size, scale (negative: little-endian), then rows from the bottom up.
 
+use crate::limits::Claim;
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, atomic, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, atomic, orient::Orientation};
 use std::io::Write;
 use std::path::Path;
 
 pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let (header, pixels) = header(file).ok_or_else(|| Error::invalid(path, "damaged PFM header"))?;
     let channels = if header.colour { 3 } else { 1 };
-    let count = limits::samples(path, (header.width, header.height), channels, 32 * channels, pixels.len() as u64, 1)?;
+    let (size, file_bytes) = ((header.width, header.height), pixels.len() as u64);
+    let count = Claim { size, channels, bits: 32 * channels, file_bytes, max_ratio: 1 }.samples(path)?;
+    let pixels = without_line_feed(file, pixels, 4 * count);
     let Some(pixels) = pixels.get(..4 * count) else {
         return Err(Error::invalid(path, "the PFM ends before its picture does (truncated)"));
     };
@@ -35,11 +38,26 @@ struct Header {
     scale: f32,
 }
 
-/// Four words, and the pixels after the single white-space character behind the last.
+/// The pixels without the second half of a line end of two characters (CR LF), which some editors and writers make. A
+/// line feed may be the first byte of a pixel as well: the length of the file tells.
+fn without_line_feed<'a>(file: &[u8], pixels: &'a [u8], wanted: usize) -> &'a [u8] {
+    let before = file.len().checked_sub(pixels.len() + 1).and_then(|i| file.get(i));
+    match (before, pixels.split_first()) {
+        (Some(b'\r'), Some((b'\n', rest))) if rest.len() >= wanted => rest,
+        _ => pixels,
+    }
+}
+
+/// Four words, lines of comment (`#`) between them, and the pixels after the single white-space character behind the
+/// last.
 fn header(file: &[u8]) -> Option<(Header, &[u8])> {
     let mut rest = file;
     let mut word = || {
-        let start = rest.iter().position(|b| !b.is_ascii_whitespace())?;
+        let mut start = rest.iter().position(|b| !b.is_ascii_whitespace())?;
+        while rest[start] == b'#' {
+            start += rest[start..].iter().position(|b| matches!(b, b'\n' | b'\r'))?;
+            start += rest[start..].iter().position(|b| !b.is_ascii_whitespace())?;
+        }
         let length = rest[start..].iter().take(64).position(u8::is_ascii_whitespace)?;
         let text = std::str::from_utf8(&rest[start..start + length]).ok()?;
         rest = &rest[start + length + 1..];

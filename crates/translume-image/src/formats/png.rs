@@ -1,7 +1,9 @@
-//! PNG, 1 to 16 bits, every colour type, with its eXIf, iCCP, sRGB and gAMA chunks.
+//! PNG, 1 to 16 bits, every colour type; what its other chunks say is read in `png_chunks`.
 
-use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, atomic, exif, limits, orient::Orientation};
+use super::png_chunks;
+use crate::limits::{self, Claim};
+use crate::raster::Raster;
+use crate::{Error, Result, Samples, atomic};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -10,52 +12,39 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let mut decoder = png::Decoder::new(Cursor::new(file));
     decoder.set_transformations(png::Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
     let header = decoder.read_header_info().map_err(invalid)?;
     let size = (u64::from(header.width), u64::from(header.height));
-    let file_bytes = file.len() as u64;
     let bits = (header.color_type.samples() * header.bit_depth as usize) as u64;
-    limits::samples(path, size, 1, bits, file_bytes, limits::MAX_RATIO)?;
-    // The pixels are counted here; this limit is for what the decoder holds beside them (profiles, rows).
+    let claim = Claim { size, channels: 1, bits, file_bytes: file.len() as u64, max_ratio: limits::MAX_RATIO };
+    claim.samples(path)?;
+    // The pixels are counted here; this limit is for what the decoder holds beside them (rows, chunks).
     decoder.set_limits(png::Limits { bytes: 64 << 20 });
     let mut reader = decoder.read_info().map_err(invalid)?;
     let (colour, depth) = reader.output_color_type();
     let channels = colour.samples();
-    let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
     // Palettes and gray of a few bits grow here; what the file must hold was checked above.
-    let count = limits::samples(path, size, channels as u64, bits, file_bytes, limits::MAX_RATIO)?;
+    let count = Claim { channels: channels as u64, ..claim }.samples(path)?;
 
-    let samples = if bytes == 2 {
+    let (samples, bits) = if depth == png::BitDepth::Sixteen {
         let mut big_endian = limits::buffer::<u8>(path, count * 2)?;
         reader.next_frame(&mut big_endian).map_err(invalid)?;
-        Samples::U16(big_endian.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)).collect())
+        (Samples::U16(big_endian.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)).collect()), 16)
     } else {
         let mut v = limits::buffer::<u8>(path, count)?;
         reader.next_frame(&mut v).map_err(invalid)?;
-        Samples::U8(v)
+        (Samples::U8(v), 8)
     };
-    // Camera tools may write eXIf behind the pixels; a file that ends inside the last chunks still has its picture.
-    let _ = reader.finish();
-
-    let info = reader.info();
-    let mut metadata = Metadata { icc: info.icc_profile.as_ref().map(|p| p.to_vec()), ..Metadata::default() };
-    let orientation =
-        info.exif_metadata.as_ref().map_or(Orientation::default(), |e| exif::read_block(e.to_vec(), &mut metadata));
-    let transfer = match info.gama_chunk {
-        // gAMA holds the encoding exponent; 1/2.2 is how old writers said sRGB.
-        Some(g) if info.srgb.is_none() && g.into_value() > 0.0 && (g.into_value() - 0.45455).abs() > 0.01 => {
-            Transfer::Power(1.0 / g.into_value())
-        }
-        _ => Transfer::Srgb,
-    };
+    let facts = png_chunks::facts(file, bits, path);
     Ok(Raster {
         width: size.0 as usize,
         height: size.1 as usize,
         channels,
         samples,
-        transfer,
+        transfer: facts.transfer,
         associated: false,
-        orientation,
-        metadata,
+        orientation: facts.orientation,
+        metadata: facts.metadata,
     })
 }
 

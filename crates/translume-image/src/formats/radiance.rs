@@ -1,9 +1,10 @@
 //! Radiance HDR (`.hdr`, `.pic`): RGBE and XYZE, plain, old and new run lengths, every orientation; EXPOSURE, COLORCORR
 //! and PRIMARIES are honoured. Source: Ward, "Real Pixels" (Graphics Gems II) and the Radiance file format notes.
 
+use crate::limits::{self, Claim};
 use crate::orient::Orientation;
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Picture, Result, Samples, atomic, limits};
+use crate::{Error, Metadata, Picture, Result, Samples, atomic};
 use std::io::Write;
 use std::path::Path;
 
@@ -11,13 +12,17 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let header = header(file).ok_or_else(|| Error::invalid(path, "damaged Radiance header"))?;
     // A run packs at most 127 bytes into 2.
     let size = (header.columns as u64, header.rows as u64);
-    let count = limits::samples(path, size, 3, 32, file.len() as u64, limits::MAX_RATIO)?;
+    let claim = Claim { size, channels: 3, bits: 32, file_bytes: file.len() as u64, max_ratio: limits::MAX_RATIO };
+    let count = claim.samples(path)?;
     let mut samples = limits::buffer::<f32>(path, count)?;
     let mut rest = header.pixels;
     let mut line = vec![[0u8; 4]; header.columns];
-    for row in samples.chunks_exact_mut(3 * header.columns) {
-        read_line(&mut rest, &mut line)
-            .ok_or_else(|| Error::invalid(path, "the Radiance file ends before its picture does, or is damaged"))?;
+    let mut packed = false;
+    for (y, row) in samples.chunks_exact_mut(3 * header.columns).enumerate() {
+        packed = read_line(&mut rest, &mut line, packed).ok_or_else(|| match rest.len() {
+            0..4 => Error::invalid(path, "the Radiance file ends before its picture does (truncated)"),
+            _ => Error::invalid(path, format!("row {y} of the Radiance file is damaged; copy the file again")),
+        })?;
         for (rgb, rgbe) in row.as_chunks_mut::<3>().0.iter_mut().zip(&line) {
             *rgb = decode(*rgbe, header.divide_by);
         }
@@ -105,16 +110,22 @@ fn size(line: &str) -> Option<(usize, usize, Orientation)> {
     Some((columns.parse().ok()?, rows.parse().ok()?, Orientation::from_exif(orientation)))
 }
 
-/// One row of RGBE pixels, in any of the three codings.
-fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]]) -> Option<()> {
+/// One row of RGBE pixels, in any of the three codings; whether it has run lengths of the new kind. Where the row before
+/// (`packed`) has them, this one has them too: programs choose by the width of the picture.
+fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]], packed: bool) -> Option<bool> {
     let n = line.len();
-    if let &[2, 2, high, low, ..] = *rest
+    // A pixel 2 2 b with b below 128 is none: the largest of three is 128 at least.
+    if let &[2, 2, high @ 0..128, low, ..] = *rest
         && (8..32768).contains(&n)
-        && high < 128
-        && (usize::from(high) << 8 | usize::from(low)) == n
     {
+        if (usize::from(high) << 8 | usize::from(low)) != n {
+            return None;
+        }
         *rest = &rest[4..];
-        return (0..4).try_for_each(|channel| read_run_lengths(rest, line, channel));
+        return (0..4).try_for_each(|channel| read_run_lengths(rest, line, channel)).map(|()| true);
+    }
+    if packed {
+        return None;
     }
     // Plain pixels; 1 1 1 n repeats the one before, and repeats in a row count in base 256.
     let (mut x, mut shift) = (0, 0);
@@ -137,7 +148,7 @@ fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]]) -> Option<()> {
             shift = 0;
         }
     }
-    Some(())
+    Some(false)
 }
 
 /// One channel of a row as runs (length above 128, then a value) and literals.
@@ -282,6 +293,26 @@ mod tests {
             let got = floats(read_text(&format!("#?RADIANCE\n\n{order}\n"), &stored.map(pixel).concat()).unwrap());
             assert_eq!([got[0], got[3], got[6], got[9]], [10.0, 20.0, 30.0, 40.0], "{order}");
         }
+    }
+
+    #[test]
+    fn a_damaged_row_is_an_error_with_its_number() {
+        let path = std::env::temp_dir().join(format!("translume-rows-{}.hdr", std::process::id()));
+        let picture = Picture::new(image::Rgb32FImage::from_fn(20, 3, |x, y| image::Rgb([x as f32, y as f32, 1.0])));
+        write_hdr(&path, &picture).unwrap();
+        let file = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!(read(&file, &path).is_ok());
+        let rows: Vec<usize> = (0..file.len() - 3).filter(|&i| file[i..i + 4] == [2, 2, 0, 20]).collect();
+        assert_eq!(rows.len(), 3);
+        for byte in 0..4 {
+            let mut damaged = file.clone();
+            damaged[rows[1] + byte] ^= 0x41;
+            let error = read(&damaged, Path::new("a.hdr")).unwrap_err().to_string();
+            assert!(error.contains("row 1") && error.contains("damaged"), "{error}");
+        }
+        let error = read(&file[..rows[2]], Path::new("a.hdr")).unwrap_err().to_string();
+        assert!(error.contains("truncated"), "{error}");
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! TGA files have no mark at their start: they are told by the ending of their name.
 
+use crate::limits::{self, Claim};
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Result, Samples, guard, limits, orient::Orientation};
+use crate::{Error, Metadata, Result, Samples, guard, orient::Orientation};
 use image::codecs::tga::TgaDecoder;
 use image::{ColorType, ImageDecoder};
 use std::io::Cursor;
@@ -28,7 +29,8 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
         };
         // A run of 128 pixels takes two bytes at least.
         let size = (u64::from(w), u64::from(h));
-        let count = limits::samples(path, size, channels as u64, 8, file.len() as u64, 64)?;
+        let count = Claim { size, channels: channels as u64, bits: 8, file_bytes: file.len() as u64, max_ratio: 64 }
+            .samples(path)?;
         let mut samples = limits::buffer::<u8>(path, count)?;
         decoder.read_image(&mut samples).map_err(|e| damaged(&e))?;
         Ok(Raster {

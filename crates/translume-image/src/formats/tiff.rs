@@ -1,8 +1,9 @@
 //! TIFF: 1 to 32-bit integers, half, float and double; gray, palette, RGB, CMYK (without a profile: naively), in strips,
 //! tiles or planes. The first picture of the file is read.
 
+use crate::limits::{self, Claim};
 use crate::raster::{Raster, Transfer};
-use crate::{Error, Metadata, Picture, Result, Samples, atomic, exif, limits, orient::Orientation};
+use crate::{Error, Metadata, Picture, Result, Samples, atomic, exif, orient::Orientation};
 use std::io::{BufWriter, Cursor};
 use std::path::Path;
 use tiff::ColorType;
@@ -17,7 +18,9 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let size = (u64::from(w), u64::from(h));
     let bytes = u64::from(bits).div_ceil(8);
     let pixel_bits = stored as u64 * u64::from(bits);
-    let count = limits::samples(path, size, stored as u64, pixel_bits, file.len() as u64, limits::MAX_RATIO)?;
+    let (channels, file_bytes) = (stored as u64, file.len() as u64);
+    let claim = Claim { size, channels, bits: pixel_bits, file_bytes, max_ratio: limits::MAX_RATIO };
+    let count = claim.samples(path)?;
     let mut limit = tiff::decoder::Limits::default();
     limit.decoding_buffer_size = count.saturating_mul(bytes as usize);
     limit.intermediate_buffer_size = limit.decoding_buffer_size.saturating_add(1 << 20);
