@@ -4,6 +4,7 @@ pub(crate) mod exr_chroma;
 pub(crate) mod exr_read;
 pub(crate) mod exr_write;
 pub(crate) mod jpeg;
+pub(crate) mod jpeg_scan;
 pub(crate) mod pfm;
 pub(crate) mod png;
 pub(crate) mod png_chunks;
