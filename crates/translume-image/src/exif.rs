@@ -26,16 +26,16 @@ pub(crate) fn read_block(block: Vec<u8>, metadata: &mut Metadata) -> Block {
     }
 }
 
-/// [`read_block`] for a whole TIFF file, without a copy of it.
-pub(crate) fn read_tiff(file: &[u8], metadata: &mut Metadata) {
-    if let Ok((fields, _)) = exif::parse_exif(file) {
-        read_fields(&fields, metadata);
-    }
-}
-
-fn read_fields(fields: &[Field], metadata: &mut Metadata) {
+/// [`read_block`] for fields that were read one by one (TIFF files).
+pub(crate) fn read_fields(fields: &[Field], metadata: &mut Metadata) {
     fill(&|tag| fields.iter().find(|f| f.tag == tag && f.ifd_num == In::PRIMARY), metadata);
 }
+
+/// The numbers of the tags that [`read_fields`] looks at.
+pub(crate) const TAGS: [u16; 15] = [
+    0x010f, 0x0110, 0x0132, 0x013b, 0x8298, 0x829a, 0x829d, 0x8827, 0x8830, 0x8831, 0x8832, 0x8833, 0x9003, 0x9201,
+    0x9202,
+];
 
 fn fill<'a>(field: &dyn Fn(Tag) -> Option<&'a Field>, metadata: &mut Metadata) -> Orientation {
     let value = |tag| field(tag).and_then(|f| number(&f.value));
@@ -94,6 +94,10 @@ mod tests {
         let fields: Vec<Field> = fields.iter().map(field).collect();
         let mut metadata = Metadata::default();
         read_fields(&fields, &mut metadata);
+        assert!(
+            fields.iter().all(|f| TAGS.contains(&f.tag.number())),
+            "every tag here is one that TIFF files are asked for"
+        );
         metadata
     }
 

@@ -2,6 +2,8 @@
 
 #![allow(unsafe_code, reason = "a global allocator, which counts, can only be written so")]
 
+mod support;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -69,7 +71,39 @@ fn originals() -> Vec<(String, Vec<u8>)> {
     files.sort();
     assert!(files.len() >= 28, "the files are there");
     let name = |f: &Path| f.file_name().unwrap().to_string_lossy().into_owned();
-    files.iter().map(|f| (name(f), std::fs::read(f).unwrap())).collect()
+    files.iter().map(|f| (name(f), std::fs::read(f).unwrap())).chain(written_here()).collect()
+}
+
+/// Kinds of TIFF and PNG that no file of tests/data is of.
+fn written_here() -> Vec<(String, Vec<u8>)> {
+    use support::{Tiff, chunk, png, set, strip, zlib};
+    let tiff =
+        |name: &str, fields: Vec<support::Field>, data: Vec<u8>| (name.to_owned(), Tiff::new(fields, data).bytes());
+    let jpeg = encode_jpeg((16, 16), &[90; 768], 90).unwrap();
+    let mut in_jpeg = strip(16, 16, &[8; 3], 6, jpeg.len());
+    set(&mut in_jpeg, 259, 3, &[7]);
+    let mut palette = strip(4, 1, &[4], 3, 2);
+    set(&mut palette, 320, 3, &[7; 48]);
+    let lzw = weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(&[5; 64]).unwrap();
+    let mut packed = strip(8, 8, &[8], 0, lzw.len());
+    set(&mut packed, 259, 3, &[5]);
+    let mut float = strip(4, 1, &[32], 1, 16);
+    set(&mut float, 339, 3, &[3]);
+    set(&mut float, 317, 3, &[3]);
+    set(&mut float, 34675, 7, &[1; 200]);
+    let text = [b"Raw profile type exif\0\0".as_slice(), &zlib(b"\nexif\n 8\n49492a0008000000\n")].concat();
+    let chunks = [chunk(b"cICP", &[9, 16, 0, 1]), chunk(b"cHRM", &[0; 32]), chunk(b"zTXt", &text)];
+    vec![
+        tiff("jpeg.tif", in_jpeg, jpeg),
+        tiff("palette.tif", palette, vec![0x12, 0x34]),
+        tiff("lzw.tif", packed, lzw),
+        tiff("float-predictor.tif", float, vec![3; 16]),
+        tiff("lab.tif", strip(2, 1, &[8; 3], 8, 6), vec![9; 6]),
+        tiff("chroma.tif", strip(4, 2, &[8; 3], 6, 12), vec![9; 12]),
+        tiff("ten-bits.tif", strip(3, 2, &[10], 1, 8), vec![9; 8]),
+        tiff("inks.tif", strip(1, 1, &[8; 4], 5, 4), vec![9; 4]),
+        ("code-points.png".to_owned(), png(2, 16, 0, &[1, 2, 3, 4], &chunks, &[])),
+    ]
 }
 
 /// xorshift: all this needs.

@@ -163,10 +163,12 @@ fn tiff_in_floats_halves_tiles_planes_and_either_byte_order() {
 
 /// Inputs that once crashed a reader.
 #[test]
-fn what_crashed_once_is_an_error() {
+fn what_crashed_once_is_an_error_or_a_picture() {
     let files: Vec<_> = std::fs::read_dir(data("crashes")).unwrap().map(|f| f.unwrap().path()).collect();
     assert!(!files.is_empty());
     for file in files {
-        assert!(read_picture(&file).is_err(), "{}", file.display());
+        // Three bits a sample are read by now.
+        let sound = file.ends_with("three-bit-gray.tif");
+        assert_eq!(read_picture(&file).is_ok(), sound, "{}", file.display());
     }
 }
