@@ -29,6 +29,16 @@ pub enum Error {
         /// What is not supported, and what to do.
         what: String,
     },
+    /// An OpenEXR file without colour where it would be looked for, but with layers that can be asked for by name.
+    #[error("{}: no R, G, B or Y among the channels {channels}; name one of its layers: {}", path.display(), layers.join(", "))]
+    Layers {
+        /// The file.
+        path: PathBuf,
+        /// Its channels, the first of them.
+        channels: String,
+        /// The layers.
+        layers: Vec<String>,
+    },
     /// Two pictures, or a picture and an option, do not go together.
     #[error("{0}")]
     Mismatch(String),

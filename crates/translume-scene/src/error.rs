@@ -117,6 +117,11 @@ impl From<translume_image::Error> for Error {
             translume_image::Error::Io { path, source } => Self::Io { path, line: None, source },
             translume_image::Error::Invalid { path, what } => Self::Invalid { path, line: None, what },
             translume_image::Error::Unsupported { path, what } => Self::Unsupported { path, line: None, what },
+            translume_image::Error::Layers { ref path, .. } => {
+                let (path, whole) = (path.clone(), e.to_string());
+                let what = whole.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&whole).to_owned();
+                Self::Unsupported { path, line: None, what }
+            }
             translume_image::Error::Mismatch(what) => Self::Invalid { path: PathBuf::new(), line: None, what },
         }
     }

@@ -4,7 +4,8 @@
 //! the compressed bytes go through the crate. Chroma is interpolated linearly; OpenEXR's own reader has a filter of 27
 //! taps, which is sharper at hard edges of colour.
 
-use super::exr_read::{DAMAGED_BLOCK, Frame, Roles, each_sample, failed, metadata, raster};
+use super::exr_layers::Roles;
+use super::exr_read::{DAMAGED_BLOCK, Frame, each_sample, failed, metadata, raster};
 use crate::colour::Space;
 use crate::raster::Raster;
 use crate::{Error, Result, guard, limits};
@@ -53,7 +54,7 @@ pub(crate) fn read<R: BufRead + Seek>(mut file: R, header: &Header, file_bytes: 
 }
 
 /// Where the chunks of the file begin.
-fn offsets<R: BufRead>(file: &mut R, header: &Header, path: &Path) -> Result<Vec<u64>> {
+pub(crate) fn offsets<R: BufRead>(file: &mut R, header: &Header, path: &Path) -> Result<Vec<u64>> {
     let mut table = limits::buffer::<u8>(path, 8 * header.chunk_count)?;
     file.read_exact(&mut table).map_err(|e| failed(path, e.into()))?;
     Ok(table.as_chunks::<8>().0.iter().map(|b| u64::from_le_bytes(*b)).collect())

@@ -1,14 +1,15 @@
 //! OpenEXR as it comes: multi-part, tiled, mip-mapped (the full level is read), half, float and integer channels, named
-//! layers, data window unequal to the display window, luminance/chroma. Deep pictures are refused.
+//! layers (see `exr_layers`), data window unequal to the display window, luminance/chroma. Deep parts are passed over.
 //!
 //! A picture has the size of the display window: pixels outside the data window are zero (and transparent), data
 //! outside the display window is left out.
 
 use super::exr_chroma;
+use super::exr_layers::{choose, choose_layer};
 use crate::limits::{self, Claim};
 use crate::raster::{Raster, Transfer};
 use crate::{Error, Metadata, Result, Samples, guard, orient::Orientation};
-use exr::block::{self, UncompressedBlock, lines::LineRef, reader::ChunksReader};
+use exr::block::{UncompressedBlock, chunk::Chunk, lines::LineRef};
 use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::attribute::{AttributeValue, Chromaticities, SampleType, Text};
@@ -72,18 +73,22 @@ pub struct ExrPlanes {
 /// As [`crate::read_picture`]; subsampled channels are [`Error::Unsupported`].
 pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
     let (file, file_bytes) = limits::open(path)?;
-    let reader = block::read(std::io::BufReader::new(file), false).map_err(|e| failed(path, e))?;
-    let Some(header) = reader.headers().get(part).cloned() else {
+    let mut file = std::io::BufReader::with_capacity(1 << 16, file);
+    let meta = meta_data(&mut file, path)?;
+    let Some(header) = meta.headers.get(part) else {
         return Err(Error::Mismatch(format!("{}: there is no part {part}", path.display())));
     };
-    refuse_deep(path, &header)?;
+    if header.deep {
+        return Err(Error::unsupported(path, "a deep OpenEXR picture; flatten it first"));
+    }
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
     let channels = &header.channels.list;
-    reader.headers().iter().try_for_each(|h| check_stored(h, file_bytes, path))?;
-    decoded(&header, file_bytes).samples(path)?;
+    meta.headers.iter().try_for_each(|h| check_stored(h, file_bytes, path))?;
+    decoded(header, file_bytes).samples(path)?;
+    validate(&meta, path)?;
     let count = width * height * channels.len();
     let mut planes = limits::buffer::<f32>(path, count)?;
-    read_lines(reader, part, path, |line| {
+    read_lines(file, &meta, (part, file_bytes), path, |line| {
         let Vec2(x, y) = line.location.position;
         let channel = line.location.channel;
         let start = (channel * height + y) * width + x;
@@ -101,27 +106,26 @@ pub(crate) fn read<R: BufRead + Seek>(
     file_bytes: u64,
     path: &Path,
 ) -> Result<Raster> {
-    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(path, e))?;
+    let meta = meta_data(&mut file, path)?;
     for header in &meta.headers {
-        refuse_deep(path, header)?;
         // Those that are not read too: their offset tables are.
         check_stored(header, file_bytes, path)?;
     }
     match meta.headers.as_slice() {
-        [header] if layer.is_none() && exr_chroma::is_subsampled(header) => {
+        [header] if layer.is_none() && !header.deep && exr_chroma::is_subsampled(header) => {
             return exr_chroma::read(file, header, file_bytes, path);
         }
-        _ => file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, e))?,
-    };
-    let reader = block::read(file, false).map_err(|e| failed(path, e))?;
+        _ => {}
+    }
+    validate(&meta, path)?;
     let (part, roles) = match layer {
-        Some(layer) => choose_layer(reader.headers(), layer, path)?,
-        None => choose(reader.headers(), path)?,
+        Some(layer) => choose_layer(&meta.headers, layer, path)?,
+        None => choose(&meta.headers, path)?,
     };
-    let header = reader.headers()[part].clone();
-    let frame = Frame::new(&header, roles.slots(), file_bytes, path)?;
+    let header = &meta.headers[part];
+    let frame = Frame::new(header, roles.slots(), file_bytes, path)?;
     let mut samples = limits::buffer::<f32>(path, frame.width * frame.height * frame.slots)?;
-    read_lines(reader, part, path, |line| {
+    read_lines(file, &meta, (part, file_bytes), path, |line| {
         let Some(slot) = roles.slot(line.location.channel) else { return };
         let Vec2(x, y) = line.location.position;
         let Some((first, skip, count)) = frame.run(x as i64, y as i64, line.location.sample_count) else { return };
@@ -132,7 +136,7 @@ pub(crate) fn read<R: BufRead + Seek>(
             }
         });
     })?;
-    let metadata = metadata(&header);
+    let metadata = metadata(header);
     if roles.luma_chroma {
         exr_chroma::to_rgb(&mut samples, frame.slots, metadata.chromaticities);
     }
@@ -189,70 +193,6 @@ impl Frame {
     }
 }
 
-/// Which channel of a part goes where.
-#[derive(Debug)]
-pub(crate) struct Roles {
-    /// Channel indices of red, green, blue; or of gray alone; or of RY, Y, BY.
-    colour: Vec<usize>,
-    alpha: Option<usize>,
-    pub luma_chroma: bool,
-}
-
-impl Roles {
-    /// The roles of the channels that `prefix` leads, if they make a picture.
-    pub(crate) fn of(header: &Header, prefix: &str) -> Option<Self> {
-        let find = |name: &str| header.channels.list.iter().position(|c| c.name.eq(format!("{prefix}{name}").as_str()));
-        let alpha = find("A");
-        let all = |names: [&str; 3]| names.iter().map(|n| find(n)).collect::<Option<Vec<_>>>();
-        if let Some(colour) = all(["R", "G", "B"]) {
-            return Some(Self { colour, alpha, luma_chroma: false });
-        }
-        if let Some(colour) = all(["RY", "Y", "BY"]) {
-            return Some(Self { colour, alpha, luma_chroma: true });
-        }
-        Some(Self { colour: vec![find("Y")?], alpha, luma_chroma: false })
-    }
-
-    /// A part's only channel, as gray.
-    fn lone(header: &Header) -> Option<Self> {
-        (header.channels.list.len() == 1).then(|| Self { colour: vec![0], alpha: None, luma_chroma: false })
-    }
-
-    pub(crate) fn slots(&self) -> usize {
-        self.colour.len() + usize::from(self.alpha.is_some())
-    }
-
-    /// The place of channel `channel` in an output pixel.
-    pub(crate) fn slot(&self, channel: usize) -> Option<usize> {
-        let colour = self.colour.iter().position(|&c| c == channel);
-        colour.or_else(|| (self.alpha == Some(channel)).then_some(self.colour.len()))
-    }
-}
-
-/// The first part and layer with colour: plain R, G, B (or Y) before named layers, named layers before a lone channel.
-fn choose(headers: &[Header], path: &Path) -> Result<(usize, Roles)> {
-    if let Some(found) = headers.iter().enumerate().find_map(|(i, h)| Some((i, Roles::of(h, "")?))) {
-        return Ok(found);
-    }
-    for (i, header) in headers.iter().enumerate() {
-        for channel in &header.channels.list {
-            let name = channel.name.to_string();
-            let prefix = name.rfind('.').map_or("", |dot| &name[..=dot]);
-            if let Some(roles) = Roles::of(header, prefix) {
-                return Ok((i, roles));
-            }
-        }
-    }
-    match headers.iter().enumerate().find_map(|(i, h)| Some((i, Roles::lone(h)?))) {
-        Some(found) => Ok(found),
-        None => {
-            let names = headers.iter().flat_map(|h| &h.channels.list).map(|c| c.name.to_string());
-            let names: Vec<String> = names.take(12).collect();
-            Err(Error::unsupported(path, format!("no R, G, B or Y among the channels {}", names.join(", "))))
-        }
-    }
-}
-
 /// Calls `take` with index and value of each sample of a line.
 pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take: impl FnMut(usize, f32)) {
     match sample_type {
@@ -274,55 +214,51 @@ pub(crate) fn each_sample(line: &LineRef<'_>, sample_type: SampleType, mut take:
     }
 }
 
-/// The part called `layer`, or the part with channels that have `layer` and a dot in front.
-fn choose_layer(headers: &[Header], layer: &str, path: &Path) -> Result<(usize, Roles)> {
-    let prefix = format!("{layer}.");
-    let named = |h: &Header| h.own_attributes.layer_name.as_ref().is_some_and(|n| n.eq(layer));
-    let found = headers.iter().enumerate().find_map(|(i, header)| {
-        let whole_part = named(header).then(|| Roles::of(header, "").or_else(|| Roles::lone(header)));
-        Some((i, Roles::of(header, &prefix).or_else(|| whole_part.flatten())?))
-    });
-    found.ok_or_else(|| {
-        let mut names: Vec<String> = headers
-            .iter()
-            .flat_map(|h| {
-                let channels = h.channels.list.iter();
-                let layers = channels.filter_map(|c| Some(c.name.to_string().rsplit_once('.')?.0.to_owned()));
-                layers.chain(h.own_attributes.layer_name.as_ref().map(ToString::to_string))
-            })
-            .collect();
-        names.sort();
-        names.dedup();
-        let known = if names.is_empty() { "it has none".to_owned() } else { format!("it has {}", names.join(", ")) };
-        Error::Mismatch(format!("{}: no layer '{layer}' with colour; {known}", path.display()))
-    })
-}
-
 /// Chunks that are read before they are decompressed together.
 const BATCH: usize = 64;
 
-/// Decompresses the full-resolution blocks of one part and hands over their lines.
+fn meta_data<R: BufRead>(file: &mut R, path: &Path) -> Result<MetaData> {
+    MetaData::read_from_buffered(file, false).map_err(|e| failed(path, e))
+}
+
+/// Whether the flat parts are sound by the library's rules; it refuses files with a deep part as a whole.
+fn validate(meta: &MetaData, path: &Path) -> Result<()> {
+    let flat: Vec<Header> = meta.headers.iter().filter(|h| !h.deep).cloned().collect();
+    if !flat.is_empty() {
+        MetaData::validate(&flat, false).map_err(|e| failed(path, e))?;
+    }
+    Ok(())
+}
+
+/// Decompresses the full-resolution blocks of one part, of a file of so many bytes that stands at its offset tables, and
+/// hands over their lines.
 fn read_lines<R: BufRead + Seek>(
-    reader: block::reader::Reader<R>,
-    part: usize,
+    mut file: R,
+    meta: &MetaData,
+    (part, file_bytes): (usize, u64),
     path: &Path,
     mut take: impl FnMut(LineRef<'_>),
 ) -> Result<()> {
-    let mut chunks = reader
-        .filter_chunks(false, |_, tile, block| block.layer == part && tile.level_index == Vec2(0, 0))
-        .map_err(|e| failed(path, e))?;
-    let meta = chunks.meta_data().clone();
+    let offsets = offsets(&mut file, meta, (part, file_bytes), path)?;
+    let mut next = |offset: u64| -> Result<Chunk> {
+        // Seeking throws away what is buffered.
+        if file.stream_position().map_err(|e| Error::io(path, e))? != offset {
+            file.seek(SeekFrom::Start(offset)).map_err(|e| Error::io(path, e))?;
+        }
+        Chunk::read(&mut file, meta).map_err(|e| failed(path, e))
+    };
+    let mut rest = offsets.into_iter();
     loop {
-        let batch: Vec<_> = chunks.by_ref().take(BATCH).collect();
+        let batch: Vec<_> = rest.by_ref().take(BATCH).map(&mut next).collect();
         if batch.is_empty() {
             return Ok(());
         }
         // Not the crate's own threads: a panic there ends the process (see the guard).
-        let decompress = |chunk| guard::run(|| UncompressedBlock::decompress_chunk(chunk, &meta, false));
+        let decompress = |chunk| guard::run(|| UncompressedBlock::decompress_chunk(chunk, meta, false));
         let blocks: Vec<_> = batch.into_par_iter().map(|chunk| chunk.map(decompress)).collect();
         for block in blocks {
             let damaged = || Error::invalid(path, DAMAGED_BLOCK);
-            let block = block.map_err(|e| failed(path, e))?.ok_or_else(damaged)?.map_err(|e| failed(path, e))?;
+            let block = block?.ok_or_else(damaged)?.map_err(|e| failed(path, e))?;
             // A wrong offset may lead to a block of another part or level, which has other lines.
             let header = &meta.headers[part];
             let end = block.index.pixel_position + block.index.pixel_size;
@@ -334,6 +270,27 @@ fn read_lines<R: BufRead + Seek>(
             block.lines(&header.channels).for_each(&mut take);
         }
     }
+}
+
+/// Where the chunks of the largest level of a part begin, in the order of the file.
+fn offsets<R: BufRead + Seek>(
+    file: &mut R,
+    meta: &MetaData,
+    (part, file_bytes): (usize, u64),
+    path: &Path,
+) -> Result<Vec<u64>> {
+    let header = &meta.headers[part];
+    let bytes = |h: &Header| (h.chunk_count as u64).saturating_mul(8);
+    let before = meta.headers[..part].iter().fold(0u64, |n, h| n.saturating_add(bytes(h)));
+    let skipped = i64::try_from(before).ok().filter(|_| before.saturating_add(bytes(header)) <= file_bytes);
+    let truncated = || Error::invalid(path, "the OpenEXR file ends before its picture does (truncated)");
+    file.seek(SeekFrom::Current(skipped.ok_or_else(truncated)?)).map_err(|e| Error::io(path, e))?;
+    let table = exr_chroma::offsets(file, header, path)?;
+    let largest = header.blocks_increasing_y_order().enumerate().filter(|(_, t)| t.location.level_index == Vec2(0, 0));
+    let offsets: Option<Vec<u64>> = largest.map(|(i, _)| table.get(i).copied()).collect();
+    let mut offsets = offsets.ok_or_else(|| Error::invalid(path, DAMAGED_BLOCK))?;
+    offsets.sort_unstable();
+    Ok(offsets)
 }
 
 pub(crate) const DAMAGED_BLOCK: &str = "a damaged OpenEXR block; copy or render the file again";
@@ -357,14 +314,12 @@ fn decoded(header: &Header, file_bytes: u64) -> Claim {
 /// Whether the file can hold the pixels that a part says are stored. What is decoded of them is held against the limit
 /// where it is known which they are.
 fn check_stored(header: &Header, file_bytes: u64, path: &Path) -> Result<()> {
-    decoded(header, file_bytes).stored(path)
-}
-
-fn refuse_deep(path: &Path, header: &Header) -> Result<()> {
+    // Deep parts are not read, and have no fixed number of samples.
     if header.deep {
-        return Err(Error::unsupported(path, "a deep OpenEXR picture; flatten it first"));
+        return Ok(());
     }
-    Ok(())
+    let claim = decoded(header, file_bytes);
+    claim.stored(path)
 }
 
 pub(crate) fn failed(path: &Path, e: exr::error::Error) -> Error {

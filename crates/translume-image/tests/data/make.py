@@ -46,6 +46,10 @@ for i in range(24):
     deep.flat[i] = np.arange(i % 3, dtype=np.float32)
 OpenEXR.File({"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}, {"Z": deep}).write("deep.exr")
 
+flat = OpenEXR.Part(scanlines(name="beauty"), {k: OpenEXR.Channel(np.ascontiguousarray(v[:4, :6])) for k, v in rgb(np.float16).items()}, "beauty")
+depths = OpenEXR.Part({"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}, {"Z": deep}, "depths")
+OpenEXR.File([flat, depths]).write("flat-and-deep.exr")
+
 # Integer pictures: gray ramps and primaries, with profiles and orientations.
 ramp = np.linspace(0, 255, 48).reshape(6, 8).astype(np.uint8)
 patches = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [128, 128, 128]]], np.uint8).repeat(8, 0).repeat(8, 1)

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use translume_image::colour::Space;
 use translume_image::tonemap::{self, FattalParams, ReinhardParams};
 use translume_image::{
-    ExrCompression, ExrOptions, ExrPart, Format, Precision, Samples, read_codes, read_exr_parts, read_layer,
+    Error, ExrCompression, ExrOptions, ExrPart, Format, Precision, Samples, read_codes, read_exr_parts, read_layer,
     read_picture, write_exr, write_hdr, write_pfm, write_tiff_float,
 };
 
@@ -163,7 +163,10 @@ fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
 /// One file as text and as a JSON object.
 fn describe(path: &Path) -> anyhow::Result<(String, Value)> {
     let format = Format::of_file(path)?;
-    let codes = read_codes(path)?;
+    let codes = match read_codes(path) {
+        Err(e @ Error::Layers { .. }) => return describe_layers(path, &e),
+        codes => codes?,
+    };
     let kind = match codes.samples {
         Samples::U8(_) => "8-bit",
         Samples::U16(_) => "16-bit",
@@ -193,6 +196,21 @@ fn describe(path: &Path) -> anyhow::Result<(String, Value)> {
         "non_finite": non_finite, "exposure_secs": m.exposure_secs, "f_number": m.f_number, "iso": m.iso,
         "relative_exposure": m.relative_exposure(), "camera": m.camera, "date_time": m.date_time, "owner": m.owner,
         "icc_bytes": m.icc.as_ref().map(Vec::len), "chromaticities": m.chromaticities,
+        "parts": parts.iter().map(part_object).collect::<Vec<_>>(),
+    });
+    Ok((lines.join("\n"), object))
+}
+
+/// An OpenEXR file that shows nothing without the name of a layer.
+fn describe_layers(path: &Path, why: &Error) -> anyhow::Result<(String, Value)> {
+    let parts = read_exr_parts(path)?;
+    let [_, _, width, height] = parts.first().map_or([0; 4], |p| p.display_window);
+    let mut lines = vec![format!("{}: OpenEXR, {width} × {height}", path.display())];
+    lines.extend(parts.iter().map(part_line));
+    let note = why.to_string();
+    lines.push(format!("  {}", note.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&note)));
+    let object = json!({
+        "file": path.to_string_lossy(), "format": "OpenEXR", "width": width, "height": height, "samples": null,
         "parts": parts.iter().map(part_object).collect::<Vec<_>>(),
     });
     Ok((lines.join("\n"), object))
@@ -238,7 +256,10 @@ fn convert(args: ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
     }
     let mut picture = match &args.layer {
         Some(layer) => read_layer(&args.image, layer)?,
-        None => read_picture(&args.image)?,
+        None => read_picture(&args.image).map_err(|e| match e {
+            Error::Layers { .. } => anyhow::anyhow!("{e}; give it as --layer NAME"),
+            other => other.into(),
+        })?,
     };
     let non_finite = picture.count_non_finite();
     if non_finite > 0 {
