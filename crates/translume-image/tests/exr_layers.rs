@@ -92,3 +92,32 @@ fn a_deep_part_is_passed_over() {
     assert_eq!(read_exr_channels(&path, 0).unwrap().planes.len(), 3);
     assert!(read_exr_channels(&path, 1).unwrap_err().to_string().contains("deep"));
 }
+
+#[test]
+fn colours_that_radiance_files_cannot_hold_are_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.hdr");
+    let write = |v: f32| {
+        let picture = Picture::new(Rgb32FImage::from_pixel(2, 1, image::Rgb([1.0, v, 0.5])));
+        warnings(|| write_hdr(&path, &picture).unwrap()).1
+    };
+    assert!(write(0.0).is_empty() && write(-0.001).is_empty(), "noise below the codes");
+    let said = write(-0.04);
+    assert!(said.len() == 1 && said[0].contains("2 pixels have negative components"), "{said:?}");
+}
+
+#[test]
+fn values_beyond_half_floats_are_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.exr");
+    let picture = |v: f32| Picture::new(Rgb32FImage::from_pixel(2, 1, image::Rgb([v, 1.0, f32::NAN])));
+    let float = ExrOptions { precision: Precision::Float, ..ExrOptions::default() };
+    let write = |v: f32, options: &ExrOptions| warnings(|| write_exr(&path, &picture(v), options).unwrap()).1;
+    assert!(write(65504.0, &ExrOptions::default()).is_empty());
+    assert!(write(1e6, &float).is_empty());
+    let said = write(1e6, &ExrOptions::default());
+    assert!(said.len() == 1 && said[0].contains("2 values (up to 1.0000e6) are beyond 65504"), "{said:?}");
+    let planes = [("Z", [1e5f32, -1e5, 1.0].as_slice()), ("V", &[1.0; 3])];
+    let (_, said) = warnings(|| write_exr_channels(&path, (3, 1), &planes, &ExrOptions::default()).unwrap());
+    assert!(said.len() == 1 && said[0].contains("2 values of channel Z"), "{said:?}");
+}

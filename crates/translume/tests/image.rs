@@ -6,7 +6,7 @@ use common::translume;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
-use translume_image::{Picture, Rgb32FImage, read_picture, write_pfm};
+use translume_image::{ExrOptions, Picture, Rgb32FImage, read_picture, write_exr_channels, write_pfm};
 
 /// A gradient over ten stops, 24 × 16.
 fn picture(dir: &Path, name: &str, gain: f32) {
@@ -47,6 +47,32 @@ fn convert_goes_round_through_every_format() {
             assert!((expected - q).abs() <= tolerance * expected.max(1.0), "{name}: {expected} {q}");
         }
     }
+}
+
+#[test]
+fn layers_without_colour_are_asked_for_by_the_option_and_listed() {
+    let dir = tempdir().unwrap();
+    let plane = [0.5f32; 4];
+    let channels = ["normal.X", "normal.Y", "normal.Z", "depth.V"].map(|n| (n, plane.as_slice()));
+    write_exr_channels(&dir.path().join("a.exr"), (2, 2), &channels, &ExrOptions::default()).unwrap();
+    let run = translume(dir.path(), &["image", "convert", "a.exr", "-o", "b.exr"]);
+    let error = run.error(1);
+    assert!(error.contains("layers: depth, normal; give it as --layer NAME"), "{error}");
+    let info = translume(dir.path(), &["image", "info", "a.exr"]).ok();
+    assert!(info.contains("2 × 2") && info.contains("normal.X (half)"), "{info}");
+    translume(dir.path(), &["image", "convert", "a.exr", "-o", "b.exr", "--layer", "normal"]).ok();
+}
+
+#[test]
+fn values_beyond_half_are_a_warning_of_the_run() {
+    let dir = tempdir().unwrap();
+    picture(dir.path(), "a.pfm", 1e5);
+    let run = |precision: &str| {
+        let arguments = ["image", "convert", "a.pfm", "-o", "a.exr", "--json", "--precision", precision];
+        json(&translume(dir.path(), &arguments).ok())["warnings"].to_string()
+    };
+    assert!(run("half").contains("65504"), "{}", run("half"));
+    assert!(!run("float").contains("65504"), "{}", run("float"));
 }
 
 #[test]

@@ -72,6 +72,9 @@ pub fn write_exr(path: &Path, picture: &Picture, options: &ExrOptions) -> Result
     if size.0 == 0 || size.1 == 0 || alpha.is_some_and(|a| a.len() != size.0 * size.1) {
         return Err(Error::Mismatch(format!("{}: a picture without pixels, or alpha of another size", path.display())));
     }
+    if options.precision == Precision::Half {
+        warn_beyond_half(path, "", rgb.iter().chain(alpha.unwrap_or_default()));
+    }
     let at = |p: Vec2<usize>| (p.y() * size.0 + p.x(), &rgb[(p.y() * size.0 + p.x()) * 3..]);
     match (options.precision, alpha) {
         (Precision::Half, None) => save!(path, size, picture, options, {
@@ -131,13 +134,33 @@ pub fn write_exr_channels(
         .iter()
         .map(|&(name, plane)| {
             let samples = match options.precision {
-                Precision::Half => FlatSamples::F16(plane.iter().map(|&v| to_half(v)).collect()),
+                Precision::Half => {
+                    warn_beyond_half(path, name, plane.iter());
+                    FlatSamples::F16(plane.iter().map(|&v| to_half(v)).collect())
+                }
                 Precision::Float => FlatSamples::F32(plane.to_vec()),
             };
             AnyChannel::new(name, samples)
         })
         .collect();
     save!(path, size, &Picture::new(image::Rgb32FImage::new(0, 0)), options, AnyChannels::sort(list))
+}
+
+/// Says how many values (of a channel with a name) half floats cannot hold.
+fn warn_beyond_half<'a>(path: &Path, channel: &str, values: impl Iterator<Item = &'a f32>) {
+    let (mut count, mut largest) = (0, 0.0f32);
+    for v in values.filter(|v| v.abs() > 65504.0) {
+        count += 1;
+        largest = largest.max(v.abs());
+    }
+    if count > 0 {
+        let of = if channel.is_empty() { String::new() } else { format!(" of channel {channel}") };
+        log::warn!(
+            "{}: {count} values{of} (up to {largest:.4e}) are beyond 65504, the largest half float, and stored as that; \
+             32-bit floats hold them",
+            path.display()
+        );
+    }
 }
 
 fn to_half(v: f32) -> f16 {

@@ -205,6 +205,7 @@ fn encode(rgb: [f32; 3]) -> [u8; 4] {
 /// [`Error::Io`].
 pub fn write_hdr(path: &Path, picture: &Picture) -> Result<()> {
     let (width, height) = picture.pixels.dimensions();
+    warn_negative(path, picture);
     atomic::write(path, |f| {
         let mut put = |bytes: &[u8]| f.write_all(bytes).map_err(|e| Error::io(path, e));
         put(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n")?;
@@ -219,6 +220,22 @@ pub fn write_hdr(path: &Path, picture: &Picture) -> Result<()> {
         }
         Ok(())
     })
+}
+
+/// Says how many pixels lose a negative component that is more than half a step of their codes.
+fn warn_negative(path: &Path, picture: &Picture) {
+    let lost = |p: &&image::Rgb<f32>| {
+        let largest = p.0.iter().fold(0.0f32, |m, v| m.max(*v));
+        p.0.iter().any(|v| *v < -largest / 256.0 && *v < -1e-38)
+    };
+    let count = picture.pixels.pixels().filter(lost).count();
+    if count > 0 {
+        log::warn!(
+            "{}: {count} pixels have negative components (colours outside of the primaries), which Radiance files cannot \
+             hold: stored as 0",
+            path.display()
+        );
+    }
 }
 
 fn pack_line(line: &[[u8; 4]]) -> Vec<u8> {
