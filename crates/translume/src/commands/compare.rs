@@ -5,7 +5,7 @@ use crate::output::Context;
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 use translume_image::compare::{CompareParams, compare, write_report};
-use translume_image::{Format, read_picture};
+use translume_image::{Format, Picture, read_picture};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -24,7 +24,7 @@ Examples:
 /// Measure how far a picture is from a reference
 ///
 /// RMSE, relMSE, PSNR, PSNR-µ, PU21-PSNR, SSIM, CIEDE2000 and FLIP. Two 8 or 16-bit files are compared as they are
-/// displayed; with a float file among them, FLIP looks at all exposures that show something.
+/// displayed; with a float, PQ or HLG file among them, FLIP looks at all exposures that show something.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -69,7 +69,8 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         }
     }
     let [reference, test] = pictures;
-    let hdr = args.hdr || !args.ldr && (is_float(&args.reference)? || is_float(&args.test)?);
+    let beyond_white = beyond_white(&reference) || beyond_white(&test);
+    let hdr = args.hdr || !args.ldr && (beyond_white || is_float(&args.reference)? || is_float(&args.test)?);
     let params = CompareParams { hdr, ppd, cd_m2: args.white };
     let found = compare(&reference, &test, &params)?;
     let mut files = Vec::new();
@@ -101,6 +102,11 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         object.insert("files".into(), files.iter().map(|f| json!(f.to_string_lossy())).collect());
     }
     ctx.emit_json(Value::Object(object))
+}
+
+/// Whether integer codes hold light beyond white (PQ, HLG): more than a colour outside of Rec. 709 has in one component.
+fn beyond_white(picture: &Picture) -> bool {
+    picture.pixels.iter().any(|v| *v > 2.0)
 }
 
 /// Whether a file's format holds light beyond white.
