@@ -9,7 +9,8 @@ use std::path::Path;
 
 pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     let invalid = |e: png::DecodingError| Error::invalid(path, format!("damaged or truncated PNG ({e})"));
-    let mut decoder = png::Decoder::new(Cursor::new(file));
+    let decodable = png_chunks::without_bad_code_points(file);
+    let mut decoder = png::Decoder::new(Cursor::new(&*decodable));
     decoder.set_transformations(png::Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);

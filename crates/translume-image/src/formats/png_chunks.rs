@@ -7,6 +7,7 @@ use crate::colour::Space;
 use crate::orient::Orientation;
 use crate::raster::Transfer;
 use crate::{Metadata, cicp, exif};
+use std::borrow::Cow;
 use std::io::Read;
 use std::path::Path;
 
@@ -46,6 +47,16 @@ pub(crate) fn facts(file: &[u8], bits: u8, path: &Path) -> Facts {
     Facts { transfer, orientation, metadata }
 }
 
+/// The file without a cICP chunk that breaks its rules (an RGB matrix, a range of 0 or 1): the decoder would refuse the
+/// picture for it, and [`facts`] warns.
+pub(crate) fn without_bad_code_points(file: &[u8]) -> Cow<'_, [u8]> {
+    let bad = |c: &Chunk<'_>| &c.kind == b"cICP" && !matches!(c.data, [_, _, 0, 0 | 1]);
+    match chunks(file).find(bad) {
+        Some(c) => Cow::Owned([&file[..c.at], &file[c.at + 12 + c.data.len()..]].concat()),
+        None => Cow::Borrowed(file),
+    }
+}
+
 /// The chunks that matter, taken apart.
 #[derive(Default)]
 struct Found {
@@ -61,7 +72,7 @@ impl Found {
     fn new(file: &[u8], path: &Path) -> Self {
         let mut found = Self::default();
         let mut texts = Self::default();
-        for Chunk { kind, data, sound } in chunks(file) {
+        for Chunk { kind, data, sound, .. } in chunks(file) {
             if !sound && matches!(&kind, b"cICP" | b"iCCP" | b"sRGB" | b"gAMA" | b"cHRM" | b"eXIf") {
                 log::warn!(
                     "{}: its chunk {} is damaged and passed over",
@@ -71,7 +82,8 @@ impl Found {
                 continue;
             }
             match &kind {
-                b"cICP" => found.cicp = found.cicp.or(data.try_into().ok()),
+                // A chunk of another length is as good as one that names nothing.
+                b"cICP" => found.cicp = found.cicp.or(Some(data.try_into().unwrap_or([2, 2, 0, 1]))),
                 b"iCCP" if found.icc.is_none() => {
                     found.icc = profile(data);
                     if found.icc.is_none() {
@@ -110,6 +122,7 @@ impl Found {
 }
 
 struct Chunk<'a> {
+    at: usize,
     kind: [u8; 4],
     data: &'a [u8],
     sound: bool,
@@ -124,10 +137,11 @@ fn chunks(file: &[u8]) -> impl Iterator<Item = Chunk<'_>> {
             let (kind, tail) = tail.split_first_chunk::<4>()?;
             let (data, tail) = tail.split_at_checked(u32::from_be_bytes(*length) as usize)?;
             let (sum, tail) = tail.split_first_chunk::<4>()?;
+            let at = file.len() - rest.len();
             rest = tail;
             if kind != b"IDAT" && kind != b"fdAT" {
                 let sound = crc32(kind.iter().chain(data)) == u32::from_be_bytes(*sum);
-                return Some(Chunk { kind: *kind, data, sound });
+                return Some(Chunk { at, kind: *kind, data, sound });
             }
         }
     })
@@ -216,7 +230,7 @@ fn code_points(
     path: &Path,
 ) -> Option<(cicp::Curve, Space)> {
     let path = path.display();
-    let curve = cicp::Curve::new(transfer, full_range != 0, bits).filter(|_| matrix == 0);
+    let curve = cicp::Curve::new(transfer, full_range != 0, bits).filter(|_| matrix == 0 && full_range <= 1);
     let (Some(curve), Some(space)) = (curve, cicp::space(primaries)) else {
         log::warn!(
             "{path}: its cICP chunk ({primaries} {transfer} {matrix} {full_range}) names no known colour; passed over"
