@@ -83,7 +83,7 @@ pub fn read_codes(path: &Path) -> Result<Codes> {
 /// # Errors
 /// As [`read_codes`].
 pub fn read_picture(path: &Path) -> Result<Picture> {
-    picture(read(path, None)?, path)
+    picture(read(path, None)?, path, true)
 }
 
 /// [`read_picture`] of one layer of an OpenEXR file: channels such as `albedo.R` make the layer `albedo`, and a part is
@@ -92,7 +92,7 @@ pub fn read_picture(path: &Path) -> Result<Picture> {
 /// # Errors
 /// As [`read_codes`]; [`Error::Mismatch`] when there is no such layer.
 pub fn read_layer(path: &Path, layer: &str) -> Result<Picture> {
-    picture(read(path, Some(layer))?, path)
+    picture(read(path, Some(layer))?, path, true)
 }
 
 /// [`read_codes`] of a file in memory; `name` stands in messages.
@@ -124,14 +124,13 @@ pub fn decode_texture(file: &[u8], name: &Path, codes: TextureCodes) -> Result<P
     if exif {
         raster.orientation = Orientation::default();
     }
-    raster.associated = true;
     let float = matches!(raster.samples, Samples::F32(_));
     if codes == TextureCodes::Stored || !float {
         raster.metadata.icc = None;
         raster.metadata.chromaticities = None;
         raster.transfer = if codes == TextureCodes::Stored { Transfer::Power(1.0) } else { Transfer::Srgb };
     }
-    picture(raster, name)
+    picture(raster, name, false)
 }
 
 /// [`read_picture`] of a file in memory; `name` stands in messages.
@@ -139,20 +138,34 @@ pub fn decode_texture(file: &[u8], name: &Path, codes: TextureCodes) -> Result<P
 /// # Errors
 /// As [`read_codes`].
 pub fn decode_picture(file: &[u8], name: &Path) -> Result<Picture> {
-    picture(decode(file, name)?, name)
+    picture(decode(file, name)?, name, true)
 }
 
-fn picture(raster: Raster, path: &Path) -> Result<Picture> {
-    let (transfer, associated, gray) = (raster.transfer, raster.associated, raster.channels < 3);
-    let (codes, alpha) = raster.into_codes();
+/// Linear light of stored samples, multiplied by alpha if `multiply`.
+fn picture(raster: Raster, path: &Path, multiply: bool) -> Result<Picture> {
+    let (transfer, mut associated, gray) = (raster.transfer, raster.associated, raster.channels < 3);
+    let (mut codes, alpha) = raster.into_codes();
     let (width, height) = (codes.width as u32, codes.height as u32);
+    if let Some(alpha) = alpha.as_ref().filter(|_| associated && !codes.is_linear()) {
+        codes.samples = straight(&codes, alpha);
+        associated = false;
+    }
     let (mut rgb, metadata) = linear::linearise(codes, transfer, gray, path);
-    if let Some(alpha) = alpha.as_ref().filter(|_| !associated) {
+    if let Some(alpha) = alpha.as_ref().filter(|_| multiply && !associated) {
         rgb.as_chunks_mut::<3>().0.iter_mut().zip(alpha).for_each(|(p, a)| *p = p.map(|v| v * a));
     }
     let pixels = Rgb32FImage::from_raw(width, height, rgb)
         .ok_or_else(|| Error::invalid(path, "fewer pixels than the header says"))?;
     Ok(Picture { pixels, alpha, metadata })
+}
+
+/// Codes that alpha was multiplied into, without it: light is their curve's before it is multiplied.
+fn straight(codes: &Codes, alpha: &[f32]) -> Samples {
+    let whole = |i: usize| match alpha.get(i / 3) {
+        Some(a) if *a > 0.0 => ((codes.unit(i) / a).min(1.0) * 65535.0).round() as u16,
+        _ => 0,
+    };
+    Samples::U16((0..3 * codes.width * codes.height).map(whole).collect())
 }
 
 fn read(path: &Path, layer: Option<&str>) -> Result<Raster> {
