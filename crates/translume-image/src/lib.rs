@@ -37,4 +37,6 @@ pub use formats::tiff::{write_tiff_float, write_tiff8, write_tiff16};
 pub use image::Rgb32FImage;
 pub use orient::Orientation;
 pub use picture::{Metadata, Picture};
-pub use read::{Format, decode_codes, decode_picture, decode_straight, read_codes, read_layer, read_picture};
+pub use read::{
+    Format, decode_codes, decode_picture, decode_stored, decode_straight, read_codes, read_layer, read_picture,
+};

@@ -2,7 +2,7 @@
 
 use crate::formats::{exr_read, jpeg, pfm, png, radiance, raw, tga, tiff};
 use crate::raster::Raster;
-use crate::{Codes, Error, Picture, Result, Samples, linear};
+use crate::{Codes, Error, Orientation, Picture, Result, Samples, linear};
 use image::Rgb32FImage;
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
@@ -109,6 +109,15 @@ pub fn decode_codes(file: &[u8], name: &Path) -> Result<Codes> {
 /// As [`read_codes`].
 pub fn decode_straight(file: &[u8], name: &Path) -> Result<Picture> {
     picture(Raster { associated: true, ..decode(file, name)? }, name)
+}
+
+/// Encoded values as a file in memory stores them, neither turned upright nor seen through what it says of its colours,
+/// and its alpha in [0, 1] where it has such. glTF wants PNG and JPEG so.
+///
+/// # Errors
+/// As [`read_codes`].
+pub fn decode_stored(file: &[u8], name: &Path) -> Result<(Codes, Option<Vec<f32>>)> {
+    Ok(Raster { orientation: Orientation::default(), ..decode(file, name)? }.into_codes())
 }
 
 /// [`read_picture`] of a file in memory; `name` stands in messages.
