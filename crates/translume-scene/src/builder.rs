@@ -8,7 +8,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use translume_bxdf::{CustomBsdf, Rgb};
-use translume_image::{Picture, Rgb32FImage, Samples};
+use translume_image::colour::srgb_to_linear;
+use translume_image::{Format, Picture, Rgb32FImage, Samples};
 use translume_mesh::{ReadOptions, TriMesh};
 
 /// Vertex normals of a mesh.
@@ -97,6 +98,9 @@ impl Builder {
             _ if factor == Rgb::ONE => return id,
             Texture::Constant(rgb) => return self.constant(rgb * factor),
             Texture::VertexColor(rgb) => Texture::VertexColor(rgb * factor),
+            Texture::VertexAlpha | Texture::Product(..) | Texture::Complement(_) | Texture::Threshold { .. } => {
+                Texture::Product(id, self.constant(factor))
+            }
             Texture::Bitmap(b) => Texture::Bitmap(Bitmap { scale: b.scale * factor, ..b }),
             Texture::Checkerboard(b) => Texture::Checkerboard(Checkerboard {
                 color0: self.scaled(b.color0, factor),
@@ -105,6 +109,31 @@ impl Builder {
             }),
         };
         self.texture(scaled)
+    }
+
+    /// Both textures multiplied.
+    pub(crate) fn product(&mut self, a: TextureId, b: TextureId) -> TextureId {
+        match (self.scene.constant(a), self.scene.constant(b)) {
+            (Some(a), _) => self.scaled(b, a),
+            (_, Some(b)) => self.scaled(a, b),
+            _ => self.texture(Texture::Product(a, b)),
+        }
+    }
+
+    /// One minus the texture.
+    pub(crate) fn complement(&mut self, of: TextureId) -> TextureId {
+        match self.scene.constant(of) {
+            Some(rgb) => self.constant(Rgb::ONE - rgb),
+            None => self.texture(Texture::Complement(of)),
+        }
+    }
+
+    /// 1 where the texture is `at` or more, 0 elsewhere.
+    pub(crate) fn threshold(&mut self, of: TextureId, at: f32) -> TextureId {
+        match self.scene.constant(of) {
+            Some(rgb) => self.constant(Rgb::splat(if rgb.x >= at { 1.0 } else { 0.0 })),
+            None => self.texture(Texture::Threshold { of, at }),
+        }
     }
 
     pub(crate) fn material(&mut self, name: &str, model: material::Model) -> MaterialId {
@@ -129,7 +158,8 @@ impl Builder {
             return Ok(mesh.clone());
         }
         let path = &key.path;
-        let mut loaded = translume_mesh::read(path, &ReadOptions { part: key.part })?;
+        let mut loaded =
+            translume_mesh::read(path, &ReadOptions { part: key.part, asset_roots: self.options.asset_roots.clone() })?;
         for warning in std::mem::take(&mut loaded.warnings) {
             self.scene.warnings.push(format!("{}: {warning}", path.display()));
         }
@@ -168,7 +198,9 @@ impl Builder {
         // Directions and coordinates that are not finite would spread through whatever is computed with them.
         let fix = |v: &mut f32| *v = if v.is_finite() { *v } else { 0.0 };
         mesh.normals.iter_mut().flatten().flatten().for_each(fix);
-        mesh.uvs.iter_mut().flatten().flatten().for_each(fix);
+        mesh.uvs.iter_mut().chain(&mut mesh.more_uvs).flatten().flatten().for_each(fix);
+        mesh.tangents.iter_mut().flatten().flatten().for_each(fix);
+        mesh.alphas.iter_mut().flatten().for_each(fix);
         mesh.colors.iter_mut().flatten().flatten().for_each(fix);
         if mesh.indices.is_empty() {
             self.warn(format!("{name}: the mesh has no triangles"));
@@ -197,6 +229,29 @@ impl Builder {
                 .ok_or_else(|| Error::invalid(name, None, "fewer pixels than the header says"))?;
         }
         self.keep_image(key, picture)
+    }
+
+    /// A picture from memory as glTF wants it: PNG and JPEG as stored, whatever they say of their colours and
+    /// their orientation; colours are sRGB.
+    pub(crate) fn stored_image(&mut self, bytes: &[u8], name: &Path, raw: bool) -> Result<Arc<Picture>> {
+        if !matches!(Format::of(bytes), Some(Format::Png | Format::Jpeg)) {
+            return self.decoded_image(bytes, name, raw);
+        }
+        let key = (name.to_owned(), raw);
+        if let Some(image) = self.images.get(&key) {
+            return Ok(image.clone());
+        }
+        let (codes, alpha) = translume_image::decode_stored(bytes, name)?;
+        let curve = if raw { std::convert::identity } else { srgb_to_linear };
+        let pixels = curved(&codes.samples, curve);
+        let pixels = Rgb32FImage::from_raw(codes.width as u32, codes.height as u32, pixels)
+            .ok_or_else(|| Error::invalid(name, None, "fewer pixels than the header says"))?;
+        self.keep_image(key, Picture { pixels, alpha, metadata: codes.metadata })
+    }
+
+    /// A picture that was read before.
+    pub(crate) fn known_image(&self, name: &Path, raw: bool) -> Option<Arc<Picture>> {
+        self.images.get(&(name.to_owned(), raw)).cloned()
     }
 
     fn keep_image(&mut self, key: (PathBuf, bool), mut picture: Picture) -> Result<Arc<Picture>> {
@@ -235,12 +290,23 @@ impl Builder {
     }
 }
 
+/// Codes over their maximum, through a curve.
+fn curved(samples: &Samples, curve: fn(f32) -> f32) -> Vec<f32> {
+    let table = |full: u16| -> Vec<f32> { (0..=full).map(|c| curve(f32::from(c) / f32::from(full))).collect() };
+    match samples {
+        Samples::U8(v) => {
+            let table = table(255);
+            v.iter().map(|&c| table[usize::from(c)]).collect()
+        }
+        Samples::U16(v) => {
+            let table = table(u16::MAX);
+            v.iter().map(|&c| table[usize::from(c)]).collect()
+        }
+        Samples::F32(v) => v.iter().map(|&c| curve(c)).collect(),
+    }
+}
+
 /// Codes over their maximum.
 fn unit_codes(samples: &Samples, width: usize, height: usize) -> Option<Rgb32FImage> {
-    let values = match samples {
-        Samples::U8(v) => v.iter().map(|&c| f32::from(c) / 255.0).collect(),
-        Samples::U16(v) => v.iter().map(|&c| f32::from(c) / 65535.0).collect(),
-        Samples::F32(v) => v.clone(),
-    };
-    Rgb32FImage::from_raw(width as u32, height as u32, values)
+    Rgb32FImage::from_raw(width as u32, height as u32, curved(samples, std::convert::identity))
 }
