@@ -1,8 +1,8 @@
 //! The BSDF at a shading point: flags, samples, the closed set of models and the adapters over them.
 
 use crate::{
-    CoatedSheet, Conductor, Dielectric, Diffuse, DiffuseSheet, Entrance, Plastic, Principled, Rgb, RoughConductor,
-    RoughDielectric, RoughPlastic, Skin, ThinDielectric, fresnel,
+    CoatedSheet, Conductor, Dielectric, Diffuse, DiffuseSheet, Entrance, MetalRough, Plastic, Principled, Rgb,
+    RoughConductor, RoughDielectric, RoughPlastic, Skin, ThinDielectric, fresnel,
 };
 use glam::{Vec2, Vec3};
 
@@ -159,6 +159,8 @@ pub enum Model<'a> {
     RoughPlastic(RoughPlastic<'a>),
     /// See [`Principled`].
     Principled(Principled),
+    /// See [`MetalRough`].
+    MetalRough(MetalRough),
     /// See [`Skin`].
     Skin(Skin<'a>),
     /// See [`Entrance`].
@@ -177,7 +179,7 @@ pub struct Bsdf<'a> {
     /// Share of what meets the model, in [0, 1]; the rest passes straight through (Mitsuba's `mask`).
     pub opacity: f32,
     /// Whether the back looks like the front (Mitsuba's `twosided` with one child; with two, choose the child by the side of
-    /// `wo`). For models that do not transmit.
+    /// `wo`). For models that do not refract.
     pub two_sided: bool,
 }
 
@@ -226,6 +228,7 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.eval_pdf(wo, wi),
             Model::RoughPlastic(m) => m.eval_pdf(wo, wi),
             Model::Principled(m) => m.eval_pdf(wo, wi, mode),
+            Model::MetalRough(m) => m.eval_pdf(wo, wi, mode),
             Model::Skin(m) => m.eval_pdf(wo, wi),
             Model::Entrance(m) => m.eval_pdf(wo, wi),
             Model::Blend(m) => m.eval_pdf(wo, wi, mode),
@@ -259,6 +262,7 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.sample(wo, u_lobe, u),
             Model::RoughPlastic(m) => m.sample(wo, u_lobe, u),
             Model::Principled(m) => m.sample(wo, u_lobe, u, mode),
+            Model::MetalRough(m) => m.sample(wo, u_lobe, u, mode),
             Model::Skin(m) => m.sample(wo, u_lobe, u),
             Model::Entrance(m) => m.sample(wo, u),
             Model::Blend(m) => m.sample(wo, u_lobe, u, mode),
@@ -294,6 +298,7 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(_) => Plastic::FLAGS,
             Model::RoughPlastic(_) => RoughPlastic::FLAGS,
             Model::Principled(m) => m.flags(),
+            Model::MetalRough(m) => m.flags(),
             Model::Skin(m) => m.flags(),
             Model::Entrance(_) => Entrance::FLAGS,
             Model::Blend(m) => m.first.flags().or(m.second.flags()),
@@ -305,8 +310,10 @@ impl<'a> Bsdf<'a> {
     /// What passes straight through for a ray along `wo`: 0 for opaque models, 1 for [`Model::Null`].
     #[inline]
     pub fn null_transmittance(&self, wo: Vec3) -> Rgb {
+        let wo = if self.two_sided && wo.z < 0.0 { flip(wo) } else { wo };
         let model = match &self.model {
             Model::Null => Rgb::ONE,
+            Model::MetalRough(m) => m.straight(wo),
             Model::ThinDielectric(m) => m.specular_transmittance * (1.0 - m.reflectance(wo)),
             Model::Blend(m) => m.first.null_transmittance(wo).lerp(m.second.null_transmittance(wo), m.weight),
             _ => Rgb::ZERO,
@@ -329,6 +336,7 @@ impl<'a> Bsdf<'a> {
             Model::Plastic(m) => m.diffuse_reflectance,
             Model::RoughPlastic(m) => m.diffuse_reflectance,
             Model::Principled(m) => m.base_color,
+            Model::MetalRough(m) => m.base_color,
             Model::Skin(m) => m.albedo,
             Model::Entrance(_) => Rgb::ONE,
             Model::Blend(m) => m.first.albedo().lerp(m.second.albedo(), m.weight),
@@ -350,7 +358,7 @@ macro_rules! bsdf_from {
 
 bsdf_from!(Diffuse: Diffuse, DiffuseSheet: DiffuseSheet, Conductor: Conductor, RoughConductor: RoughConductor, Dielectric: Dielectric);
 bsdf_from!(ThinDielectric: ThinDielectric, RoughDielectric: RoughDielectric, Plastic: Plastic);
-bsdf_from!(RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
+bsdf_from!(MetalRough: MetalRough, RoughPlastic: RoughPlastic<'a>, Principled: Principled, Blend: Box<Blend<'a>>, Custom: Custom<'a>);
 bsdf_from!(CoatedSheet: CoatedSheet<'a>, Skin: Skin<'a>, Entrance: Entrance<'a>);
 
 impl Blend<'_> {

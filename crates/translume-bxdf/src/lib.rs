@@ -14,7 +14,7 @@
 //!   f* the importance form, f*(wo, wi) = f(wi, wo).
 //! - Values are finite and non-negative for all unit directions; `None` or zero means that nothing is scattered.
 //!
-//! Definitions and defaults of the models are those of Mitsuba 3, which pictures are compared with;
+//! Definitions and defaults of the models are those of Mitsuba 3, which pictures are compared with, but for [`MetalRough`], glTF's;
 //! `tests/mitsuba.rs` holds them to its numbers. This crate knows nothing about files, textures or scenes: whoever evaluates
 //! textures fills the parameters per shading point, so the structs are small, plain and made without allocation.
 
@@ -29,6 +29,7 @@ pub mod fresnel;
 pub mod homogeneous;
 mod ior;
 mod measured;
+mod metal_rough;
 mod metals;
 mod microfacet;
 mod phase;
@@ -47,6 +48,7 @@ pub use diffuse::{Diffuse, DiffuseSheet};
 pub use diffusion::{Boundary, Dipole, DipoleKind, Normalized, Sources};
 pub use ior::{AIR, BK7, POLYPROPYLENE, ior_by_name};
 pub use measured::{Measured, MeasuredTables};
+pub use metal_rough::MetalRough;
 pub use metals::{METAL_NAMES, metal_by_name};
 pub use microfacet::{Distribution, Microfacets};
 pub use phase::Phase;

@@ -29,6 +29,14 @@ pub enum Error {
         /// What is not supported, and what to do.
         what: String,
     },
+    /// The file names another where none is read unless the user says so.
+    #[error("{}: {} lies outside of its folder", path.display(), file.display())]
+    Outside {
+        /// The file.
+        path: PathBuf,
+        /// What it names.
+        file: PathBuf,
+    },
 }
 
 /// Result with this crate's [`Error`].

@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 pub struct ReadOptions {
     /// Only this part, counted from 0: the shape index of a `.serialized` file. `None` reads all.
     pub part: Option<usize>,
+    /// Folders, beside that of the file, where files that it names may be (glTF).
+    pub asset_roots: Vec<PathBuf>,
 }
 
 /// A mesh with its names.
@@ -97,7 +99,7 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Loaded> {
     let mut loaded = match Format::detect(path, &bytes) {
         Some(Format::Ply) => ply::read(path, &bytes)?,
         Some(Format::Obj) => obj::read(path, &bytes)?,
-        Some(Format::Gltf) => gltf::Asset::from_bytes(path, bytes)?.flatten()?,
+        Some(Format::Gltf) => gltf::Asset::from_bytes_within(path, bytes, &options.asset_roots)?.flatten()?,
         Some(Format::Serialized) => return serialized::read(path, &bytes, options.part),
         None => return Err(Error::unsupported(path, "not a PLY, OBJ, glTF, GLB or .serialized file")),
     };

@@ -11,8 +11,15 @@ pub struct TriMesh {
     pub normals: Option<Vec<[f32; 3]>>,
     /// Texture coordinates, origin at the lower left, as long as `positions`.
     pub uvs: Option<Vec<[f32; 2]>>,
+    /// Further sets of texture coordinates, of the second and so on, each as long as `positions`.
+    pub more_uvs: Vec<Vec<[f32; 2]>>,
+    /// Unit tangents for normal maps, as long as `positions`; the fourth number is 1 or −1: the bitangent is the normal
+    /// cross the tangent, times it.
+    pub tangents: Option<Vec<[f32; 4]>>,
     /// Vertex colours as stored, integers scaled to 0–1, as long as `positions`.
     pub colors: Option<Vec<[f32; 3]>>,
+    /// Coverage of the vertices, beside their colours, as long as `positions`.
+    pub alphas: Option<Vec<f32>>,
     /// Triangles, counter-clockwise seen from outside; every index is below `positions.len()`.
     pub indices: Vec<[u32; 3]>,
 }
@@ -109,6 +116,11 @@ impl TriMesh {
                 *n = (matrix * DVec3::from(n.map(f64::from))).normalize_or_zero().as_vec3().into();
             }
         }
+        for t in self.tangents.iter_mut().flatten() {
+            let along = DVec3::new(t[0].into(), t[1].into(), t[2].into());
+            let [x, y, z] = (world_from_mesh.matrix3 * along).normalize_or_zero().as_vec3().to_array();
+            *t = [x, y, z, if mirrors { -t[3] } else { t[3] }];
+        }
         if mirrors {
             self.indices.iter_mut().for_each(|t| t.swap(1, 2));
         }
@@ -120,10 +132,39 @@ impl TriMesh {
         if let Some(normals) = &mut self.normals {
             normals.iter_mut().flatten().for_each(|x| *x = -*x);
         }
+        self.tangents.iter_mut().flatten().for_each(|t| t[3] = -t[3]);
+    }
+
+    /// Leaves out the vertices that no triangle uses.
+    pub fn compact(&mut self) {
+        let mut numbers = vec![u32::MAX; self.positions.len()];
+        let mut kept: Vec<u32> = Vec::new();
+        for i in self.indices.iter_mut().flatten() {
+            let number = &mut numbers[*i as usize];
+            if *number == u32::MAX {
+                *number = kept.len() as u32;
+                kept.push(*i);
+            }
+            *i = *number;
+        }
+        self.pick(&kept);
+    }
+
+    /// Vertices become those of the numbers `from`, with all their attributes; the indices are the caller's.
+    pub(crate) fn pick(&mut self, from: &[u32]) {
+        fn picked<T: Copy>(values: &mut Vec<T>, from: &[u32]) {
+            *values = from.iter().map(|&v| values[v as usize]).collect();
+        }
+        picked(&mut self.positions, from);
+        self.normals.iter_mut().for_each(|v| picked(v, from));
+        self.uvs.iter_mut().chain(&mut self.more_uvs).for_each(|v| picked(v, from));
+        self.tangents.iter_mut().for_each(|v| picked(v, from));
+        self.colors.iter_mut().for_each(|v| picked(v, from));
+        self.alphas.iter_mut().for_each(|v| picked(v, from));
     }
 
     /// Adds the triangles of `other` with their own vertices. An attribute that only one side has is filled with
-    /// zeros on the other (white for colours).
+    /// zeros on the other (white for colours, opaque, a tangent along x).
     ///
     /// Returns false, leaving the mesh as it was, when the sum would not fit 32-bit indices.
     #[must_use]
@@ -135,7 +176,15 @@ impl TriMesh {
         }
         join(&mut self.normals, &other.normals, here, there, [0.0; 3]);
         join(&mut self.uvs, &other.uvs, here, there, [0.0; 2]);
+        join(&mut self.tangents, &other.tangents, here, there, [1.0, 0.0, 0.0, 1.0]);
         join(&mut self.colors, &other.colors, here, there, [1.0; 3]);
+        join(&mut self.alphas, &other.alphas, here, there, 1.0);
+        for i in 0..self.more_uvs.len().max(other.more_uvs.len()) {
+            let mut set = self.more_uvs.get_mut(i).map(std::mem::take);
+            join(&mut set, &other.more_uvs.get(i).cloned(), here, there, [0.0; 2]);
+            let set = set.unwrap_or_default();
+            if i < self.more_uvs.len() { self.more_uvs[i] = set } else { self.more_uvs.push(set) }
+        }
         self.positions.extend_from_slice(&other.positions);
         self.indices.extend(other.indices.iter().map(|t| t.map(|i| i + base)));
         true
@@ -147,9 +196,12 @@ impl TriMesh {
         let lengths = [
             ("normals", self.normals.as_ref().map(Vec::len)),
             ("texture coordinates", self.uvs.as_ref().map(Vec::len)),
+            ("tangents", self.tangents.as_ref().map(Vec::len)),
             ("colours", self.colors.as_ref().map(Vec::len)),
+            ("alphas", self.alphas.as_ref().map(Vec::len)),
         ];
-        for (name, length) in lengths {
+        let sets = self.more_uvs.iter().map(|set| ("texture coordinates", Some(set.len())));
+        for (name, length) in lengths.into_iter().chain(sets) {
             if let Some(length) = length.filter(|&l| l != n) {
                 return Some(format!("{length} {name} for {n} vertices"));
             }
@@ -160,7 +212,7 @@ impl TriMesh {
 }
 
 /// The inverse transpose up to a positive factor; the cofactor matrix, which exists for singular matrices too.
-fn normal_matrix(m: &DMat3) -> DMat3 {
+pub(crate) fn normal_matrix(m: &DMat3) -> DMat3 {
     let cofactor = DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
     if m.determinant() < 0.0 { -cofactor } else { cofactor }
 }

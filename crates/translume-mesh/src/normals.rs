@@ -47,9 +47,7 @@ impl TriMesh {
                 });
             }
         }
-        self.positions = pick(&vertices, &self.positions);
-        self.colors = self.colors.as_deref().map(|colors| pick(&vertices, colors));
-        self.uvs = self.uvs.as_deref().map(|uvs| pick(&vertices, uvs));
+        self.pick(&vertices);
         self.normals = Some(normals);
         self.indices = indices;
     }
@@ -64,10 +62,6 @@ impl TriMesh {
             if normal == DVec3::ZERO { normal } else { normal * a.angle_between(b) }
         })
     }
-}
-
-fn pick<T: Copy>(vertices: &[u32], from: &[T]) -> Vec<T> {
-    vertices.iter().map(|&v| from[v as usize]).collect()
 }
 
 fn unit(sum: DVec3) -> [f32; 3] {

@@ -222,6 +222,7 @@ impl Reader {
                 .then(|| vertices.iter().map(|v| self.uvs.get(v[1] as usize).copied().unwrap_or_default()).collect()),
             colors: (!self.colors.is_empty()).then(|| vertices.iter().map(|v| self.colors[v[0] as usize]).collect()),
             indices,
+            ..TriMesh::default()
         };
         let mut part = Part::named(path, mesh);
         if !group.name.is_empty() {

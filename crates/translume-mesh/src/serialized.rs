@@ -90,7 +90,7 @@ fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part>
     let uvs = (flags & TEXCOORDS != 0).then(|| stream.floats::<2>(vertices, double)).transpose()?;
     let colors = (flags & COLORS != 0).then(|| stream.floats::<3>(vertices, double)).transpose()?;
     let indices = stream.triangles(triangles)?;
-    let mesh = TriMesh { positions, normals, uvs, colors, indices };
+    let mesh = TriMesh { positions, normals, uvs, colors, indices, ..TriMesh::default() };
     if let Some(fault) = mesh.fault() {
         return invalid(format!("shape {index}: {fault}"));
     }

@@ -251,7 +251,7 @@ fn a_part_can_be_picked() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("m.serialized");
     std::fs::write(&path, serialized(&wave(), 4, false)).unwrap();
-    let part = |part| read(&path, &ReadOptions { part: Some(part) });
+    let part = |part| read(&path, &ReadOptions { part: Some(part), ..ReadOptions::default() });
     assert!(part(1).unwrap().parts[0].mesh.uvs.is_none());
     assert!(part(2).unwrap_err().to_string().contains("no shape 2"));
 }

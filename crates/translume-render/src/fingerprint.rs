@@ -35,14 +35,25 @@ impl Hash {
     }
 
     fn shape(&mut self, shape: &Shape) {
-        let Shape { name: _, geometry, world_from_object, flip_normals, material, radiance, interior, exterior } =
-            shape;
-        self.debug(&(world_from_object, flip_normals, material, radiance, interior, exterior));
+        let Shape {
+            name: _,
+            geometry,
+            world_from_object,
+            flip_normals,
+            material,
+            radiance,
+            shines_behind,
+            interior,
+            exterior,
+        } = shape;
+        self.debug(&(world_from_object, flip_normals, material, radiance, shines_behind, interior, exterior));
         match geometry {
             Geometry::Mesh(mesh) => {
                 self.floats(mesh.positions.iter().flatten().copied());
                 self.floats(mesh.normals.iter().flatten().flatten().copied());
-                self.floats(mesh.uvs.iter().flatten().flatten().copied());
+                self.floats(mesh.uvs.iter().chain(&mesh.more_uvs).flatten().flatten().copied());
+                self.floats(mesh.tangents.iter().flatten().flatten().copied());
+                self.floats(mesh.alphas.iter().flatten().copied());
                 self.floats(mesh.colors.iter().flatten().flatten().copied());
                 mesh.indices.iter().flatten().for_each(|&i| self.word(i.into()));
             }
@@ -73,7 +84,7 @@ pub fn fingerprint(scene: &Scene, settings: &str) -> u64 {
         match texture {
             Texture::Bitmap(b) => {
                 hash.picture(&b.image);
-                hash.debug(&(b.image_from_uv, b.filter, b.wrap, b.channel, b.scale));
+                hash.debug(&(b.set, b.image_from_uv, b.filter, b.wrap, b.channel, b.scale));
             }
             other => hash.debug(other),
         }

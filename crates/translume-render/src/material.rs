@@ -11,7 +11,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
 use translume_core::frame::Frame;
-use translume_scene::material::{Conductor, Dielectric, Model, Principled, Roughness, Subsurface, ThinPrincipled};
+use translume_scene::material::{
+    Conductor, Dielectric, MetalRough, Model, NormalAxes, Principled, Roughness, Subsurface, ThinPrincipled,
+};
 use translume_scene::{MaterialId, Scene, TextureId};
 
 /// What is tabulated once per material.
@@ -49,6 +51,11 @@ pub(crate) fn passes(scene: &Scene, id: MaterialId) -> (bool, bool) {
         Model::Null | Model::ThinDielectric(_) => (true, true),
         Model::Dielectric(_) | Model::RoughDielectric { .. } => (false, true),
         Model::Principled(p) => (false, scene.constant(p.spec_trans) != Some(Rgb::ZERO)),
+        Model::MetalRough(p) => {
+            let through = scene.constant(p.transmission) != Some(Rgb::ZERO);
+            let smooth = scene.constant(p.roughness).map_or(0.0, |r| r.x);
+            (through && bxdf::MetalRough::is_straight(p.solid.is_none(), p.solid.unwrap_or(1.0), smooth), through)
+        }
         Model::DiffuseTransmission { transmittance: id, .. } => (false, scene.constant(*id) != Some(Rgb::ZERO)),
         Model::ThinPrincipled(p) => (false, scene.constant(p.diff_trans) != Some(Rgb::ZERO)),
         Model::TwoSided { front, back } => both(passes(scene, *front), passes(scene, *back)),
@@ -80,9 +87,11 @@ pub(crate) struct Shader<'a, 'b> {
     pub(crate) scene: &'a Scene,
     pub(crate) prepared: &'a [Prepared],
     pub(crate) hit: &'b SurfaceHit,
+    /// Where the hit's geometry stands, unless that is in the world's own space.
+    pub(crate) standing: Option<&'a translume_trace::Instance>,
     /// What is under the surface.
     pub(crate) under: Option<&'a Translucent>,
-    pub(crate) place: Place,
+    pub(crate) place: Place<'a>,
     pub(crate) frame: Frame,
     /// The frame's normal before it was bent.
     pub(crate) unbent: Option<Vec3>,
@@ -146,6 +155,7 @@ impl<'a> Shader<'a, '_> {
                 .into()
             }
             Model::Principled(p) => self.principled(p).into(),
+            Model::MetalRough(p) => self.metal_rough(p),
             Model::ThinPrincipled(p) => self.thin_principled(id, p),
             Model::Measured(model) => bxdf::Custom { model: &**model, uv: self.place.uv }.into(),
             Model::Subsurface(s) => self.skin(id, s),
@@ -164,9 +174,8 @@ impl<'a> Shader<'a, '_> {
                 self.bump(texture::gradient(self.scene, *height, &self.place) * *scale);
                 self.bsdf(*nested)
             }
-            Model::NormalMap { normals, scale, nested } => {
-                let n = self.rgb(*normals) * 2.0 - Rgb::ONE;
-                self.bend(self.frame.to_world(Vec3::new(n.x * scale, n.y * scale, n.z)));
+            Model::NormalMap { normals, scale, axes, nested } => {
+                self.bend(self.mapped_normal(*normals, *scale, *axes, &self.frame));
                 self.bsdf(*nested)
             }
             Model::Blend { weight, first, second } => {
@@ -227,6 +236,72 @@ impl<'a> Shader<'a, '_> {
             clearcoat: number(p.clearcoat),
             clearcoat_gloss: number(p.clearcoat_gloss),
         }
+    }
+
+    fn metal_rough(&self, p: &MetalRough) -> Bsdf<'a> {
+        let number = |id: TextureId| self.number(id).clamp(0.0, 1.0);
+        let (specular, f0) = (number(p.specular), self.unit(p.f0));
+        let left = if p.f0_dims_base { 1.0 - f0.max_element() } else { 1.0 };
+        let coat = number(p.coat);
+        let bsdf = Bsdf::from(bxdf::MetalRough {
+            base_color: self.unit(p.base_color) * left,
+            metallic: number(p.metallic),
+            roughness: number(p.roughness),
+            f0: f0 * specular,
+            f90: specular,
+            transmission: number(p.transmission),
+            thin: p.solid.is_none(),
+            eta: p.solid.unwrap_or(1.0),
+            coat,
+            coat_roughness: if coat > 0.0 { number(p.coat_roughness) } else { 0.0 },
+            coat_normal: if coat > 0.0 { self.coat_normal(p) } else { Vec3::Z },
+        });
+        if p.solid.is_none() { bsdf.two_sided() } else { bsdf }
+    }
+
+    /// The coat's normal in the local frame: the surface's own, which the normals of what is under it do not bend.
+    fn coat_normal(&self, p: &MetalRough) -> Vec3 {
+        let own = self.unbent.map_or(self.frame, |n| Frame::from_normal_tangent(n, self.hit.dp_du));
+        let normal = match p.coat_normals {
+            Some((normals, scale)) => self.mapped_normal(normals, scale, NormalAxes::OfPicture, &own),
+            None => own.n,
+        };
+        self.frame.to_local(normal).try_normalize().unwrap_or(Vec3::Z)
+    }
+
+    /// A normal of a normal map over the frame `own`, of any length.
+    fn mapped_normal(&self, normals: TextureId, scale: f32, axes: NormalAxes, own: &Frame) -> Vec3 {
+        let n = self.rgb(normals) * 2.0 - Rgb::ONE;
+        let n = Vec3::new(n.x * scale, n.y * scale, n.z);
+        let of_picture = if axes == NormalAxes::OfPicture { self.picture_frame(normals, own.n) } else { None };
+        match of_picture {
+            Some((right, up)) => right * n.x + up * n.y + own.n * n.z,
+            None => own.to_world(n),
+        }
+    }
+
+    /// Unit vectors across the normal `n` to the right and to the top of a picture: by the mesh's tangents, or by how the
+    /// picture lies on the triangle.
+    fn picture_frame(&self, picture: TextureId, n: Vec3) -> Option<(Vec3, Vec3)> {
+        let on = self.place.on?;
+        let matrix = self.standing.map(|s| s.world_from_object.matrix3.as_mat3());
+        let moved = |v: Vec3| matrix.map_or(v, |m| m * v);
+        let mirrors = matrix.is_some_and(|m| m.determinant() < 0.0);
+        let (right, is_right_handed) = match &on.mesh.tangents {
+            Some(tangents) => {
+                let sign = tangents[on.mesh.indices[on.face as usize][0] as usize][3];
+                let along = on.mean(|i| Vec3::new(tangents[i][0], tangents[i][1], tangents[i][2]));
+                (moved(along), (sign > 0.0) != mirrors)
+            }
+            None => {
+                let (right, top) = texture::picture_axes(self.scene, picture, &self.place)?;
+                let (right, top) = (moved(right), moved(top));
+                (right, n.cross(right).dot(top) >= 0.0)
+            }
+        };
+        let right = (right - n * n.dot(right)).try_normalize()?;
+        let up = n.cross(right);
+        Some((right, if is_right_handed { up } else { -up }))
     }
 
     fn thin_principled(&self, id: MaterialId, p: &ThinPrincipled) -> Bsdf<'a> {

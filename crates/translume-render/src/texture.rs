@@ -1,16 +1,72 @@
 //! Values of textures at shading points.
 
 use crate::{Rgb, luminance};
-use glam::{DVec2, Vec2};
+use glam::{DVec2, Vec2, Vec3};
+use translume_mesh::TriMesh;
 use translume_scene::texture::{Bitmap, Channel, Checkerboard, Filter, Texture, Wrap};
 use translume_scene::{Scene, TextureId};
 
 /// Where a texture is looked up.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place {
+pub(crate) struct Place<'a> {
+    /// Texture coordinates, of the first set.
     pub(crate) uv: Vec2,
-    /// The mesh's vertex colour, white where it has none.
-    pub(crate) color: Rgb,
+    /// Where it is on a mesh.
+    pub(crate) on: Option<OnMesh<'a>>,
+}
+
+/// A point of a triangle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OnMesh<'a> {
+    pub(crate) mesh: &'a TriMesh,
+    pub(crate) face: u32,
+    /// Barycentric coordinates of the second and third corner.
+    pub(crate) b: Vec2,
+}
+
+impl Place<'_> {
+    /// Not on a mesh.
+    pub(crate) fn bare(uv: Vec2) -> Self {
+        Place { uv, on: None }
+    }
+
+    /// Texture coordinates of a set, of the first where there is no such.
+    fn coordinates(&self, set: usize) -> Vec2 {
+        match self.on {
+            Some(on) if set > 0 => match on.mesh.more_uvs.get(set - 1) {
+                Some(uvs) => on.mean(|i| Vec2::from(uvs[i])),
+                None => self.uv,
+            },
+            _ => self.uv,
+        }
+    }
+}
+
+impl OnMesh<'_> {
+    /// The mean of what the corners have.
+    #[inline]
+    pub(crate) fn mean<T: std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>>(
+        &self,
+        of: impl Fn(usize) -> T,
+    ) -> T {
+        let [i, j, k] = self.mesh.indices[self.face as usize].map(|i| i as usize);
+        of(i) * (1.0 - self.b.x - self.b.y) + of(j) * self.b.x + of(k) * self.b.y
+    }
+}
+
+/// Derivatives of the place on a mesh, in the mesh's space, by the axes of the picture of `id`: towards its right and
+/// towards its top. `None` where nothing says how the picture lies.
+pub(crate) fn picture_axes(scene: &Scene, id: TextureId, at: &Place) -> Option<(Vec3, Vec3)> {
+    let (Texture::Bitmap(bitmap), Some(on)) = (&scene.textures[id.0], at.on) else { return None };
+    let set = bitmap.set.checked_sub(1).and_then(|i| on.mesh.more_uvs.get(i)).or(on.mesh.uvs.as_ref())?;
+    let [a, b, c] = on.mesh.indices[on.face as usize].map(|i| {
+        let uv = bitmap.image_from_uv.transform_point2(Vec2::from(set[i as usize]).as_dvec2());
+        (Vec3::from(on.mesh.positions[i as usize]), uv)
+    });
+    let (e1, e2, d1, d2) = (b.0 - a.0, c.0 - a.0, (b.1 - a.1).as_vec2(), (c.1 - a.1).as_vec2());
+    let determinant = d1.perp_dot(d2);
+    let (right, down) = ((e1 * d2.y - e2 * d1.y) / determinant, (e2 * d1.x - e1 * d2.x) / determinant);
+    (right.is_finite() && down.is_finite()).then_some((right, -down))
 }
 
 /// The colour of a texture.
@@ -18,9 +74,19 @@ pub(crate) struct Place {
 pub(crate) fn eval(scene: &Scene, id: TextureId, at: &Place) -> Rgb {
     match &scene.textures[id.0] {
         Texture::Constant(rgb) => *rgb,
-        Texture::Bitmap(bitmap) => bitmap_value(bitmap, at.uv),
+        Texture::Bitmap(bitmap) => bitmap_value(bitmap, at.coordinates(bitmap.set)),
         Texture::Checkerboard(board) => eval(scene, square(board, at.uv), at),
-        Texture::VertexColor(factor) => *factor * at.color,
+        Texture::VertexColor(factor) => match at.on.and_then(|on| Some((on, on.mesh.colors.as_ref()?))) {
+            Some((on, colors)) => *factor * on.mean(|i| Rgb::from(colors[i])),
+            None => *factor,
+        },
+        Texture::VertexAlpha => match at.on.and_then(|on| Some((on, on.mesh.alphas.as_ref()?))) {
+            Some((on, alphas)) => Rgb::splat(on.mean(|i| alphas[i])),
+            None => Rgb::ONE,
+        },
+        Texture::Product(a, b) => eval(scene, *a, at) * eval(scene, *b, at),
+        Texture::Complement(of) => Rgb::ONE - eval(scene, *of, at),
+        Texture::Threshold { of, at: least } => Rgb::splat(if eval_1d(scene, *of, at) >= *least { 1.0 } else { 0.0 }),
     }
 }
 
@@ -38,7 +104,7 @@ pub(crate) fn gradient(scene: &Scene, id: TextureId, at: &Place) -> Vec2 {
         return Vec2::ZERO;
     }
     let (w, h) = bitmap.image.pixels.dimensions();
-    let (cell, t) = cell_of(bitmap, at.uv);
+    let (cell, t) = cell_of(bitmap, at.coordinates(bitmap.set));
     let [a, b, c, d] = corners(bitmap, cell).map(|v| if v.x == v.y && v.y == v.z { v.x } else { luminance(v) });
     let dx = ((b - a) * (1.0 - t.y) + (d - c) * t.y) * w as f32;
     let dy = ((c - a) * (1.0 - t.x) + (d - b) * t.x) * h as f32;

@@ -83,6 +83,7 @@ fn lit_by(kind: &str) -> Scene {
         Arc::new(Picture::new(pixels))
     };
     let slide = Texture::Bitmap(Bitmap {
+        set: 0,
         image: picture(),
         image_from_uv: glam::DAffine2::IDENTITY,
         filter: Filter::Bilinear,

@@ -97,6 +97,9 @@ impl Builder {
             _ if factor == Rgb::ONE => return id,
             Texture::Constant(rgb) => return self.constant(rgb * factor),
             Texture::VertexColor(rgb) => Texture::VertexColor(rgb * factor),
+            Texture::VertexAlpha | Texture::Product(..) | Texture::Complement(_) | Texture::Threshold { .. } => {
+                Texture::Product(id, self.constant(factor))
+            }
             Texture::Bitmap(b) => Texture::Bitmap(Bitmap { scale: b.scale * factor, ..b }),
             Texture::Checkerboard(b) => Texture::Checkerboard(Checkerboard {
                 color0: self.scaled(b.color0, factor),
@@ -105,6 +108,31 @@ impl Builder {
             }),
         };
         self.texture(scaled)
+    }
+
+    /// Both textures multiplied.
+    pub(crate) fn product(&mut self, a: TextureId, b: TextureId) -> TextureId {
+        match (self.scene.constant(a), self.scene.constant(b)) {
+            (Some(a), _) => self.scaled(b, a),
+            (_, Some(b)) => self.scaled(a, b),
+            _ => self.texture(Texture::Product(a, b)),
+        }
+    }
+
+    /// One minus the texture.
+    pub(crate) fn complement(&mut self, of: TextureId) -> TextureId {
+        match self.scene.constant(of) {
+            Some(rgb) => self.constant(Rgb::ONE - rgb),
+            None => self.texture(Texture::Complement(of)),
+        }
+    }
+
+    /// 1 where the texture is `at` or more, 0 elsewhere.
+    pub(crate) fn threshold(&mut self, of: TextureId, at: f32) -> TextureId {
+        match self.scene.constant(of) {
+            Some(rgb) => self.constant(Rgb::splat(if rgb.x >= at { 1.0 } else { 0.0 })),
+            None => self.texture(Texture::Threshold { of, at }),
+        }
     }
 
     pub(crate) fn material(&mut self, name: &str, model: material::Model) -> MaterialId {
@@ -129,7 +157,8 @@ impl Builder {
             return Ok(mesh.clone());
         }
         let path = &key.path;
-        let mut loaded = translume_mesh::read(path, &ReadOptions { part: key.part })?;
+        let mut loaded =
+            translume_mesh::read(path, &ReadOptions { part: key.part, asset_roots: self.options.asset_roots.clone() })?;
         for warning in std::mem::take(&mut loaded.warnings) {
             self.scene.warnings.push(format!("{}: {warning}", path.display()));
         }
@@ -168,7 +197,9 @@ impl Builder {
         // Directions and coordinates that are not finite would spread through whatever is computed with them.
         let fix = |v: &mut f32| *v = if v.is_finite() { *v } else { 0.0 };
         mesh.normals.iter_mut().flatten().flatten().for_each(fix);
-        mesh.uvs.iter_mut().flatten().flatten().for_each(fix);
+        mesh.uvs.iter_mut().chain(&mut mesh.more_uvs).flatten().flatten().for_each(fix);
+        mesh.tangents.iter_mut().flatten().flatten().for_each(fix);
+        mesh.alphas.iter_mut().flatten().for_each(fix);
         mesh.colors.iter_mut().flatten().flatten().for_each(fix);
         if mesh.indices.is_empty() {
             self.warn(format!("{name}: the mesh has no triangles"));
@@ -194,6 +225,11 @@ impl Builder {
         let codes = if raw { TextureCodes::Stored } else { TextureCodes::Srgb };
         let picture = translume_image::decode_texture(bytes, name, codes)?;
         self.keep_image(key, picture)
+    }
+
+    /// A picture that was read before.
+    pub(crate) fn known_image(&self, name: &Path, raw: bool) -> Option<Arc<Picture>> {
+        self.images.get(&(name.to_owned(), raw)).cloned()
     }
 
     fn keep_image(&mut self, key: (PathBuf, bool), mut picture: Picture) -> Result<Arc<Picture>> {

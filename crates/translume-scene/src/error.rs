@@ -36,6 +36,14 @@ pub enum Error {
         /// What is not supported, and what to do.
         what: String,
     },
+    /// The file names another where none is read unless the user says so, see [`crate::LoadOptions::asset_roots`].
+    #[error("{}: {} lies outside of its folder", path.display(), file.display())]
+    Outside {
+        /// The file.
+        path: PathBuf,
+        /// What it names.
+        file: PathBuf,
+    },
 }
 
 /// Result with this crate's [`Error`].
@@ -97,6 +105,7 @@ impl Error {
                 Self::io(path, source)
             }
             Self::Invalid { .. } => Self::invalid(path, None, what),
+            outside @ Self::Outside { .. } => outside,
         }
     }
 }
@@ -107,6 +116,7 @@ impl From<translume_mesh::Error> for Error {
             translume_mesh::Error::Io { path, source } => Self::Io { path, line: None, source },
             translume_mesh::Error::Invalid { path, what } => Self::Invalid { path, line: None, what },
             translume_mesh::Error::Unsupported { path, what } => Self::Unsupported { path, line: None, what },
+            translume_mesh::Error::Outside { path, file } => Self::Outside { path, file },
         }
     }
 }

@@ -66,6 +66,8 @@ pub enum Model {
     },
     /// Disney's principled model.
     Principled(Box<Principled>),
+    /// glTF's metallic-roughness model.
+    MetalRough(Box<MetalRough>),
     /// A thin sheet that transmits diffusely, under a clear coat on both sides.
     ThinPrincipled(Box<ThinPrincipled>),
     /// A measured reflectance.
@@ -101,6 +103,8 @@ pub enum Model {
         normals: TextureId,
         /// Factor on the normals' x and y.
         scale: f32,
+        /// What y is along.
+        axes: NormalAxes,
         /// What is shaded.
         nested: MaterialId,
     },
@@ -113,6 +117,16 @@ pub enum Model {
         /// Where it is 1.
         second: MaterialId,
     },
+}
+
+/// The second axis of normal maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NormalAxes {
+    /// The normal cross the first axis, however the picture lies on the surface (Mitsuba).
+    RightHanded,
+    /// Towards the top of the picture, by the mesh's tangents where it has such, else as the texture coordinates of the
+    /// picture have it; so is the first, towards its right (glTF).
+    OfPicture,
 }
 
 /// Parameters of clear materials.
@@ -188,6 +202,33 @@ pub struct Principled {
     pub clearcoat: TextureId,
     /// Its gloss.
     pub clearcoat_gloss: TextureId,
+}
+
+/// Parameters of [`Model::MetalRough`]; ranges 0–1 unless stated.
+#[derive(Clone, Copy, Debug)]
+pub struct MetalRough {
+    /// Colour of the diffuse base, of the metal, and of what passes the surface.
+    pub base_color: TextureId,
+    /// How much of a metal.
+    pub metallic: TextureId,
+    /// Roughness; microfacets have its square.
+    pub roughness: TextureId,
+    /// What the dielectric reflects along the normal, before `specular`; taken as 1 where it is more.
+    pub f0: TextureId,
+    /// Factor on all that the dielectric reflects.
+    pub specular: TextureId,
+    /// The base has what `f0` leaves, 1 − its largest channel, beside what the angle leaves (specular glossiness).
+    pub f0_dims_base: bool,
+    /// How much of the base lets light through instead of scattering it.
+    pub transmission: TextureId,
+    /// Index of refraction, inside over outside, of a solid; `None`: a thin sheet.
+    pub solid: Option<f32>,
+    /// Strength of a clear coat.
+    pub coat: TextureId,
+    /// Its roughness.
+    pub coat_roughness: TextureId,
+    /// Its normals as for [`Model::NormalMap`], and the factor on their x and y; `None`: the surface's own.
+    pub coat_normals: Option<(TextureId, f32)>,
 }
 
 /// Parameters of [`Model::ThinPrincipled`]; ranges 0–1 unless stated.

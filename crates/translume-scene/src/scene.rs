@@ -70,6 +70,8 @@ pub struct Shape {
     pub material: MaterialId,
     /// Emitted radiance, in W m⁻² sr⁻¹ by colour channel, on the side of the normal.
     pub radiance: Option<TextureId>,
+    /// It is emitted on the other side too.
+    pub shines_behind: bool,
     /// Medium on the side away from the normal. With both `None` the shape is no boundary of media.
     pub interior: Option<MediumId>,
     /// Medium on the side of the normal.
@@ -152,6 +154,8 @@ pub struct LoadOptions {
     pub defines: Vec<(String, String)>,
     /// What reads measured translucent objects; scenes with such are refused without it.
     pub bssrdf_loader: Option<BssrdfLoader>,
+    /// Folders, beside that of the scene, where the files of a glTF file may be.
+    pub asset_roots: Vec<std::path::PathBuf>,
 }
 
 impl Scene {
@@ -163,10 +167,18 @@ impl Scene {
         }
     }
 
-    /// The mean of the texture over its picture; of vertex colours the factor on them.
+    /// About the mean of the texture over its picture; of vertex colours the factor on them, of a product that of the means.
     pub fn mean(&self, texture: TextureId) -> Rgb {
         match &self.textures[texture.0] {
             Texture::Constant(rgb) | Texture::VertexColor(rgb) => *rgb,
+            Texture::VertexAlpha => Rgb::ONE,
+            Texture::Product(a, b) => self.mean(*a) * self.mean(*b),
+            Texture::Complement(of) => Rgb::ONE - self.mean(*of),
+            // Nothing is known but where it is the same everywhere.
+            Texture::Threshold { of, at } => match self.constant(*of) {
+                Some(rgb) => Rgb::splat(if rgb.x >= *at { 1.0 } else { 0.0 }),
+                None => Rgb::splat(0.5),
+            },
             Texture::Checkerboard(board) => 0.5 * (self.mean(board.color0) + self.mean(board.color1)),
             Texture::Bitmap(b) => {
                 let mean = |values: &mut dyn Iterator<Item = f32>| {
@@ -218,7 +230,10 @@ impl Scene {
             if let Geometry::Mesh(mesh) = &shape.geometry {
                 let optional = [mesh.normals.as_ref(), mesh.colors.as_ref()].into_iter().flatten().map(Vec::len);
                 let triples = mesh.positions.len() + mesh.indices.len() + optional.sum::<usize>();
-                once(Arc::as_ptr(mesh) as usize, 12 * triples + 8 * mesh.uvs.as_ref().map_or(0, Vec::len));
+                let pairs: usize = mesh.uvs.iter().chain(&mesh.more_uvs).map(Vec::len).sum();
+                let others =
+                    16 * mesh.tangents.as_ref().map_or(0, Vec::len) + 4 * mesh.alphas.as_ref().map_or(0, Vec::len);
+                once(Arc::as_ptr(mesh) as usize, 12 * triples + 8 * pairs + others);
             }
         }
         let bitmaps = self.textures.iter().filter_map(|t| match t {
@@ -241,7 +256,7 @@ impl Scene {
         bytes
     }
 
-    /// The box around all shapes and instances.
+    /// The box around all shapes and instances. Of scenes that place very many vertices it is that of their meshes' boxes.
     pub fn bounds(&self) -> Bounds {
         let groups: Vec<Bounds> = self.groups.iter().map(|g| bounds_of(&g.shapes)).collect();
         let mut bounds = bounds_of(&self.shapes);
@@ -289,9 +304,24 @@ impl Shape {
     }
 }
 
+/// More vertices than this are not looked at one by one, where their meshes stand more than once.
+const MOST_BOUNDED: usize = 1 << 25;
+
 fn bounds_of(shapes: &[Shape]) -> Bounds {
+    let vertices = |s: &Shape| if let Geometry::Mesh(mesh) = &s.geometry { mesh.positions.len() } else { 1 };
     let mut bounds = Bounds::EMPTY;
-    shapes.iter().for_each(|s| bounds.join(&s.bounds()));
+    if shapes.iter().map(vertices).fold(0, usize::saturating_add) <= MOST_BOUNDED {
+        shapes.iter().for_each(|s| bounds.join(&s.bounds()));
+        return bounds;
+    }
+    let mut boxes = std::collections::HashMap::new();
+    for shape in shapes {
+        let own = match &shape.geometry {
+            Geometry::Mesh(mesh) => *boxes.entry(Arc::as_ptr(mesh)).or_insert_with(|| mesh.bounds()),
+            other => other.bounds(),
+        };
+        bounds.join(&transformed(&own, &shape.world_from_object));
+    }
     bounds
 }
 

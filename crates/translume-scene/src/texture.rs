@@ -17,6 +17,19 @@ pub enum Texture {
     Checkerboard(Checkerboard),
     /// The mesh's vertex colours (white where it has none), times a factor.
     VertexColor(Rgb),
+    /// The coverage of the mesh's vertices (1 where it has none).
+    VertexAlpha,
+    /// Both multiplied.
+    Product(TextureId, TextureId),
+    /// One minus it.
+    Complement(TextureId),
+    /// 1 where it is `at` or more, 0 elsewhere.
+    Threshold {
+        /// Of what.
+        of: TextureId,
+        /// The first value that counts.
+        at: f32,
+    },
 }
 
 /// A picture as a texture.
@@ -25,6 +38,8 @@ pub struct Bitmap {
     /// Pixels: linear light, or the stored numbers (integers over their maximum) of a raw texture. Shared by all
     /// textures from one file.
     pub image: Arc<Picture>,
+    /// Which set of the shape's texture coordinates; where it has not that many, the first.
+    pub set: usize,
     /// From the shape's texture coordinates to the picture: (0, 0) is the upper left corner of the picture, (1, 1) the
     /// lower right one. Pixel centres are at halves: column x is at (x + 0.5) / width.
     pub image_from_uv: DAffine2,

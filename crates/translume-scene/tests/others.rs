@@ -71,10 +71,11 @@ LightSource "infinite" "rgb L" [ .1 .1 .1 ]
 fn gltf() {
     let scene = Folder::new().load("scene.gltf", GLTF).unwrap();
     check(&scene);
-    assert_eq!((scene.shapes.len(), scene.triangles()), (4, (2, 4)), "nodes share their meshes");
+    assert_eq!((scene.shapes.len(), scene.triangles()), (4, (1, 4)), "nodes and primitives share their meshes");
     assert_eq!(scene.constant(scene.shapes[0].radiance.unwrap()), Some(Rgb::new(8.0, 4.0, 0.0)));
-    let Model::Principled(glass) = &scene.materials[scene.shapes[1].material.0].model else { panic!("not principled") };
-    assert!((glass.eta - 1.4).abs() < 1e-4 && scene.constant(glass.spec_trans) == Some(Rgb::ONE));
+    let Model::MetalRough(glass) = &scene.materials[scene.shapes[1].material.0].model else { panic!("not glTF's") };
+    assert!(glass.solid == Some(1.4) && scene.constant(glass.transmission) == Some(Rgb::ONE));
+    assert!((scene.constant(glass.f0).unwrap().x - (0.4_f32 / 2.4).powi(2)).abs() < 1e-6);
     let majorant = scene.media[scene.shapes[1].interior.unwrap().0].majorant();
     assert!((majorant - Rgb::new(0.5_f32.ln() / -2.0, 0.0, 0.0)).length() < 1e-6);
     let camera = &scene.sensors[0];
@@ -170,6 +171,42 @@ fn damaged_files_are_errors_or_scenes() {
         <emitter type="spot"><rgb name="intensity" value="#ffcc00"/></emitter>"##;
     survives("scene.xml", xml("3.0.0", inside).as_bytes(), 1000, &folder);
     survives("scene.gltf", GLTF.as_bytes(), 1000, &folder);
+    // With poses, and materials of many textures and sets.
+    let png = "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mP8z8BQDwAEhQGAhKmMIQAAAABJRU5ErkJggg==";
+    let texture =
+        r#"{"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {"rotation": 1, "texCoord": 0}}}"#;
+    let rich = GLTF
+        .replace(
+            r#"{"attributes": {"POSITION": 0}, "material": 0}"#,
+            r#"{"attributes": {"POSITION": 0, "NORMAL": 0, "TANGENT": 1, "COLOR_0": 1, "TEXCOORD_0": 2, "TEXCOORD_1": 2,
+                "JOINTS_0": 1, "WEIGHTS_0": 1}, "targets": [{"POSITION": 0, "COLOR_0": 0}], "material": 0}"#,
+        )
+        .replace(r#""mesh": 0, "name": "one""#, r#""mesh": 0, "name": "one", "skin": 0, "weights": [0.5]"#)
+        .replace(
+            r#""accessors": ["#,
+            &format!(
+                r#""skins": [{{"joints": [0, 1]}}], "textures": [{{"source": 0}}], "images": [{{"uri": "{png}"}}], "accessors": [
+                {{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}},
+                {{"componentType": 5126, "count": 3, "type": "VEC4"}}, {{"componentType": 5126, "count": 3, "type": "VEC2"}},"#
+            ),
+        )
+        .replace(
+            r#""emissiveFactor""#,
+            &format!(
+                r#""alphaMode": "MASK", "doubleSided": true, "normalTexture": {texture}, "emissiveTexture": {texture},
+                "pbrMetallicRoughness": {{"baseColorTexture": {texture}}}, "emissiveFactor""#
+            ),
+        )
+        .replace(
+            r#""KHR_materials_emissive_strength": {"emissive"#,
+            &format!(
+                r#""KHR_materials_clearcoat": {{"clearcoatFactor": 1, "clearcoatNormalTexture": {texture}}},
+                "KHR_materials_specular": {{"specularTexture": {texture}, "specularColorTexture": {texture}}},
+                "KHR_materials_emissive_strength": {{"emissive"#
+            ),
+        );
+    check(&Folder::new().load("scene.gltf", &rich).unwrap());
+    survives("scene.gltf", rich.as_bytes(), 1000, &folder);
     survives("scene.pbrt", PBRT.as_bytes(), 1000, &folder);
 }
 
@@ -243,4 +280,43 @@ fn formats_agree() {
     assert_eq!(a.constant(l.radiance.unwrap()), b.constant(r.radiance.unwrap()));
     assert!((l.bounds().hi - r.bounds().hi).length() < 1e-5);
     assert!((a.bounds().lo - b.bounds().lo).length() < 1e-5);
+}
+
+/// Many primitives and nodes of one list of vertices are one mesh; of a long list that each uses little of, parts.
+#[test]
+fn vertices_of_gltf_are_read_once() {
+    let primitive = r#"{"attributes": {"POSITION": 0}, "material": 0}"#;
+    let text = GLTF.replace(primitive, &[primitive; 40].join(", "));
+    let scene = Folder::new().load("scene.gltf", &text).unwrap();
+    check(&scene);
+    assert_eq!((scene.shapes.len(), scene.triangles()), (82, (1, 82)));
+    let long = GLTF
+        .replace(
+            "{\"bufferView\": 0, \"componentType\": 5126, \"count\": 3",
+            "{\"componentType\": 5126, \"count\": 90000",
+        )
+        .replace("{\"POSITION\": 0}, \"material\": 0}", "{\"POSITION\": 0}, \"indices\": 1, \"material\": 0}")
+        .replace(
+            "\"type\": \"VEC3\"}]",
+            "\"type\": \"VEC3\"}, {\"componentType\": 5123, \"count\": 6, \"type\": \"SCALAR\"}]",
+        );
+    let scene = Folder::new().load("scene.gltf", &long).unwrap();
+    let Geometry::Mesh(mesh) = &scene.shapes[0].geometry else { panic!() };
+    assert_eq!((mesh.positions.len(), mesh.indices.len()), (1, 2));
+}
+
+/// A file that poses its vertices over and over is refused before they fill the memory.
+#[test]
+fn poses_of_gltf_have_a_bound() {
+    let nodes: Vec<String> = (0..9).map(|i| format!("{{\"mesh\": 0, \"weights\": [{i}]}}")).collect();
+    let text = GLTF
+        .replace("\"nodes\": [0, 1, 2, 3]", "\"nodes\": [0, 1, 2, 3, 4, 5, 6, 7, 8]")
+        .replace("{\"POSITION\": 0}", "{\"POSITION\": 0}, \"targets\": [{\"POSITION\": 0}]")
+        .replace("{\"mesh\": 0, \"name\": \"one\"},", &format!("{},", nodes.join(", ")))
+        .replace(
+            "{\"bufferView\": 0, \"componentType\": 5126, \"count\": 3",
+            "{\"componentType\": 5126, \"count\": 12000000",
+        );
+    let error = Folder::new().load("scene.gltf", &text).unwrap_err().to_string();
+    assert!(error.contains("vertices and triangles together"), "{error}");
 }

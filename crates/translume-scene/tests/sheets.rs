@@ -83,20 +83,22 @@ fn leaves_of_gltf() {
 fn what_no_sheet_is_made_of_in_gltf() {
     // Nothing comes through: the material that it would be anyway.
     let scene = gltf(&[("\"diffuseTransmissionFactor\": 0.75", "\"diffuseTransmissionFactor\": 0")]);
-    assert!(matches!(model(&scene), Model::TwoSided { .. }));
+    assert!(matches!(model(&scene), Model::MetalRough(_)));
     // Clear transmission lies over the diffuse one.
     let clear = ("\"more\": 0", r#""KHR_materials_transmission": {"transmissionFactor": 0.5}"#);
     let scene = gltf(&[clear]);
     let Model::Blend { weight, first, second } = *model(&scene) else { panic!("{:?}", model(&scene)) };
     constant(&scene, weight, [0.5; 3]);
     assert!(matches!(scene.materials[first.0].model, Model::ThinPrincipled(_)));
-    assert!(matches!(scene.materials[second.0].model, Model::ThinDielectric(_)));
+    let Model::MetalRough(over) = &scene.materials[second.0].model else { panic!() };
+    constant(&scene, over.transmission, [1.0; 3]);
+    constant(&scene, over.roughness, [0.5; 3]);
     let solid = (
         clear.0,
         r#""KHR_materials_volume": {"thicknessFactor": 1}, "KHR_materials_transmission": {"transmissionFactor": 0.5}"#,
     );
     let scene = gltf(&[solid]);
-    assert!(matches!(model(&scene), Model::Principled(_)));
+    assert!(matches!(model(&scene), Model::MetalRough(m) if m.solid.is_some()));
     for (extension, told) in [
         (r#""KHR_materials_clearcoat": {"clearcoatFactor": 1}"#, "clear coat is not used"),
         (r#""KHR_materials_pbrSpecularGlossiness": {}"#, "specular glossiness"),

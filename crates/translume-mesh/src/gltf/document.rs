@@ -41,6 +41,7 @@ pub struct Document {
     pub accessors: Vec<Accessor>,
     pub buffer_views: Vec<BufferView>,
     pub buffers: Vec<Buffer>,
+    pub skins: Vec<Skin>,
 }
 
 /// `asset`.
@@ -75,6 +76,8 @@ pub struct Node {
     pub translation: Option<[f64; 3]>,
     pub rotation: Option<[f64; 4]>,
     pub scale: Option<[f64; 3]>,
+    /// Of morph targets, in place of the mesh's.
+    pub weights: Option<Vec<f32>>,
     pub extensions: Extensions,
 }
 
@@ -85,6 +88,8 @@ pub struct Node {
 pub struct Mesh {
     pub name: Option<String>,
     pub primitives: Vec<Primitive>,
+    /// Of morph targets.
+    pub weights: Vec<f32>,
 }
 
 /// A primitive: attributes by name, with their accessors.
@@ -96,7 +101,18 @@ pub struct Primitive {
     pub indices: Option<Number>,
     pub material: Option<Number>,
     pub mode: Option<Number>,
+    /// What morph targets add to attributes, by their names.
+    pub targets: Vec<BTreeMap<String, Number>>,
     pub extensions: Extensions,
+}
+
+/// A skin.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+#[allow(missing_docs, reason = "names and meanings are the specification's")]
+pub struct Skin {
+    pub inverse_bind_matrices: Option<Number>,
+    pub joints: Vec<Number>,
 }
 
 /// An accessor.

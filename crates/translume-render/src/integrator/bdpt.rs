@@ -201,7 +201,7 @@ impl Sample<'_, '_> {
             if !self.own.wants(0, t) {
                 continue;
             }
-            let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
+            let point = LightPoint { light, p: v.hit.point.p, n: v.hit.seen_n(), far: false };
             let others = match self.camera.parent(v) {
                 None => 0.0,
                 Some(parent) => {

@@ -455,8 +455,9 @@ fn compile(scene: &Scene, emitter: &Emitter) -> Light {
     }
 }
 
-/// The number of the light that a hit surface's primitive is.
+/// The number of the light that a hit surface's primitive is, in front or behind.
 #[inline]
-pub(crate) fn light_of(surface: &Surface, prim: u32) -> Option<usize> {
-    surface.first_light.map(|first| (first + if surface.one_light { 0 } else { prim }) as usize)
+pub(crate) fn light_of(surface: &Surface, prim: u32, behind: bool) -> Option<usize> {
+    let first = if behind { surface.first_light_behind } else { surface.first_light };
+    first.map(|first| (first + if surface.one_light { 0 } else { prim }) as usize)
 }

@@ -92,7 +92,7 @@ impl PointLight {
                 }
                 // +x is the left of the slide; v goes up.
                 let uv = Vec2::new(0.5 - 0.5 * plane.x / half.x, 0.5 + 0.5 * plane.y / half.y);
-                texture::eval(scene, *irradiance, &Place { uv, color: Rgb::ONE }) * *scale / local.z.powi(3)
+                texture::eval(scene, *irradiance, &Place::bare(uv)) * *scale / local.z.powi(3)
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::Rgb;
 use crate::light::mesh::MeshLight;
 use crate::light::tree::LightBounds;
 use crate::light::{End, LightSample, LightStart};
-use crate::texture::{self, Place};
+use crate::texture::{self, OnMesh, Place};
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
@@ -54,7 +54,7 @@ pub(crate) struct Place3 {
 
 /// What a light emits where `place` says; most lights are the same everywhere and need not be asked where.
 #[inline]
-pub(super) fn radiance(scene: &Scene, id: TextureId, place: impl FnOnce() -> Place) -> Rgb {
+pub(super) fn radiance<'a>(scene: &Scene, id: TextureId, place: impl FnOnce() -> Place<'a>) -> Rgb {
     scene.constant(id).unwrap_or_else(|| texture::eval(scene, id, &place()))
 }
 
@@ -95,7 +95,7 @@ impl ShapeLight {
             && let Some((wi, pdf_w, q)) = sample_cone(p, *center, *radius, u)
         {
             let point = SurfacePoint { p: q, ng: (q - *center) / *radius, error: rounding(q, *radius) };
-            let place = || Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
+            let place = || Place::bare(sphere_uv(object_from_world, q));
             let radiance = radiance(scene, self.radiance, place);
             return Some(LightSample { wi, radiance, pdf_w, delta: false, end: End::Surface(point) });
         }
@@ -152,7 +152,7 @@ impl ShapeLight {
                 let n = warp::uniform_sphere(u.x, u.y);
                 let q = *center + n * *radius;
                 let point = SurfacePoint { p: q, ng: n, error: rounding(q, center.abs().max_element() + *radius) };
-                let place = || Place { uv: sphere_uv(object_from_world, q), color: Rgb::ONE };
+                let place = || Place::bare(sphere_uv(object_from_world, q));
                 let radiance = radiance(scene, self.radiance, place);
                 Place3 { point, pdf_a: 1.0 / (2.0 * TAU * radius * radius), radiance }
             }
@@ -161,7 +161,7 @@ impl ShapeLight {
                 let q = quadric.world_from_object.transform_point3(object).as_vec3();
                 let ng = quadric.normal(normal).normalize_or(DVec3::Z).as_vec3();
                 let point = SurfacePoint { p: q, ng, error: rounding(q, 4.0 * q.abs().max_element()) };
-                let radiance = radiance(scene, self.radiance, || Place { uv, color: Rgb::ONE });
+                let radiance = radiance(scene, self.radiance, || Place::bare(uv));
                 Place3 { point, pdf_a: quadric.pdf_a(normal), radiance }
             }
             Form::Mesh(m) => m.place(scene, self.radiance, u),
@@ -251,16 +251,12 @@ impl Quadric {
     }
 }
 
-/// Texture coordinates and colour of a mesh's point.
+/// A mesh's point, for textures.
 #[inline]
-pub(crate) fn mesh_place(mesh: &TriMesh, face: u32, b: Vec2) -> Place {
-    let [i, j, k] = mesh.indices[face as usize].map(|i| i as usize);
-    let w = 1.0 - b.x - b.y;
-    let uv =
-        mesh.uvs.as_ref().map_or(b, |uv| Vec2::from(uv[i]) * w + Vec2::from(uv[j]) * b.x + Vec2::from(uv[k]) * b.y);
-    let color =
-        mesh.colors.as_ref().map_or(Rgb::ONE, |c| Rgb::from(c[i]) * w + Rgb::from(c[j]) * b.x + Rgb::from(c[k]) * b.y);
-    Place { uv, color }
+pub(crate) fn mesh_place(mesh: &TriMesh, face: u32, b: Vec2) -> Place<'_> {
+    let on = OnMesh { mesh, face, b };
+    let uv = mesh.uvs.as_ref().map_or(b, |uv| on.mean(|i| Vec2::from(uv[i])));
+    Place { uv, on: Some(on) }
 }
 
 /// u: azimuth over 2π; v: one minus the polar angle over π.

@@ -97,9 +97,9 @@ impl Parts {
         let mut shapes = Vec::new();
         self.begin();
         for (shape, form) in baked {
-            let first_light = self.lights_of(scene, shape, &form, &DAffine3::IDENTITY);
+            let lights = sides(shape).map(|s| self.lights_of(scene, &s?, &form, &DAffine3::IDENTITY));
             shapes.push(form.shape.clone());
-            let surface = surface(scene, shape, form.form, first_light)?;
+            let surface = surface(scene, shape, form.form, lights)?;
             if let Some(material) = surface.subsurface {
                 let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
                 let here = Standing { instance: self.instances.len() as u32, world_from_geometry: DAffine3::IDENTITY };
@@ -115,11 +115,13 @@ impl Parts {
     fn add_placed(&mut self, scene: &Scene, shape: &Shape, world_from_group: &DAffine3) -> Result<()> {
         let world = *world_from_group * shape.world_from_object;
         let own = in_own_space(&shape.geometry);
-        let whole = self.mesh_light(scene, shape, &world);
-        let (one_light, first_light) = match whole {
-            Some(light) => (true, Some(light)),
-            None => (false, self.lights_of(scene, shape, &own, &world)),
-        };
+        let mut one_light = false;
+        let lights = sides(shape).map(|side| {
+            let side = side?;
+            let whole = self.mesh_light(scene, &side, &world);
+            one_light |= whole.is_some();
+            whole.or_else(|| self.lights_of(scene, &side, &own, &world))
+        });
         let geometry = match &shape.geometry {
             Geometry::Mesh(mesh) => match self.shared.get(&Arc::as_ptr(mesh)) {
                 Some(geometry) => geometry.clone(),
@@ -132,7 +134,7 @@ impl Parts {
             _ => Arc::new(trace::Geometry::new(vec![own.shape])?),
         };
         self.begin();
-        let surface = Surface { one_light, ..surface(scene, shape, own.form, first_light)? };
+        let surface = Surface { one_light, ..surface(scene, shape, own.form, lights)? };
         if let Some(material) = surface.subsurface {
             let here = Standing { instance: self.instances.len() as u32, world_from_geometry: world };
             self.add_translucent(scene, material, geometry.clone(), &here, world)?;
@@ -162,7 +164,7 @@ impl Parts {
             let tracer_shapes: Vec<trace::Shape> = baked.iter().map(|(_, form)| form.shape.clone()).collect();
             let mut under = Vec::new();
             for (number, (shape, form)) in baked.into_iter().enumerate() {
-                let surface = surface(scene, shape, form.form, None)?;
+                let surface = surface(scene, shape, form.form, [None; 2])?;
                 if let Some(material) = surface.subsurface {
                     let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
                     under.push((base + number as u32, material, geometry, shape.world_from_object));
@@ -359,7 +361,13 @@ pub(super) fn similarity(m: &DAffine3) -> Option<f64> {
     (alike && square && scale > 0.0).then_some(scale)
 }
 
-fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -> Result<Surface> {
+/// The shape as it shines on the side of its normal, and on the other.
+fn sides(shape: &Shape) -> [Option<Shape>; 2] {
+    let behind = shape.shines_behind && shape.radiance.is_some();
+    [Some(shape.clone()), behind.then(|| Shape { flip_normals: !shape.flip_normals, ..shape.clone() })]
+}
+
+fn surface(scene: &Scene, shape: &Shape, form: Form, lights: [Option<u32>; 2]) -> Result<Surface> {
     Ok(Surface {
         subsurface: subsurface_of(scene, shape.material)?,
         form,
@@ -367,7 +375,8 @@ fn surface(scene: &Scene, shape: &Shape, form: Form, first_light: Option<u32>) -
         passes: passes(scene, shape.material),
         sided: sided(scene, shape.material),
         radiance: shape.radiance,
-        first_light,
+        first_light: lights[0],
+        first_light_behind: lights[1],
         one_light: false,
         flip: shape.flip_normals,
         interior: shape.interior,

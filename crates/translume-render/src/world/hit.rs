@@ -3,7 +3,7 @@
 use super::{Form, World};
 use crate::Rgb;
 use crate::light::{mesh_place, uv_of_sphere};
-use crate::texture::Place;
+use crate::texture::{OnMesh, Place};
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use std::f32::consts::TAU;
 use translume_bxdf::{Bsdf, Flags, Mode, Sample};
@@ -36,7 +36,8 @@ pub struct SurfaceHit {
     /// Instance of the tracer.
     pub(crate) instance: u32,
     pub(crate) uv: Vec2,
-    pub(crate) color: Rgb,
+    /// Barycentric coordinates on a triangle.
+    pub(crate) b: Vec2,
     pub(crate) dp_du: Vec3,
     pub(crate) dp_dv: Vec3,
 }
@@ -107,12 +108,23 @@ impl SurfaceHit {
         self.point.ng
     }
 
-    pub(crate) fn place(&self) -> Place {
-        Place { uv: self.uv, color: self.color }
+    /// The same on the side that it is seen from.
+    #[inline]
+    pub fn seen_n(&self) -> Vec3 {
+        if self.wo.dot(self.n()) < 0.0 { -self.n() } else { self.n() }
     }
 }
 
 impl World {
+    /// Where textures are looked up for `hit`.
+    pub(crate) fn place(&self, hit: &SurfaceHit) -> Place<'_> {
+        let on = match &self.surfaces[hit.surface as usize].form {
+            Form::Mesh(mesh) => Some(OnMesh { mesh, face: hit.prim, b: hit.b }),
+            Form::Quadric(_) => None,
+        };
+        Place { uv: hit.uv, on }
+    }
+
     /// Fills in what shading wants.
     pub(crate) fn surface_hit(&self, ray: &Ray, hit: &Hit) -> SurfaceHit {
         self.hit_on(&self.tracer, self.surface_index(hit) as u32, ray, hit)
@@ -122,17 +134,14 @@ impl World {
     pub(super) fn hit_on(&self, tracer: &translume_trace::Scene, index: u32, ray: &Ray, hit: &Hit) -> SurfaceHit {
         let surface = &self.surfaces[index as usize];
         let mut point = tracer.surface(ray, hit);
-        let (mut local, color) = match &surface.form {
-            Form::Mesh(mesh) => {
-                let b = Vec2::new(hit.u, hit.v);
-                let place = mesh_place(mesh, hit.prim, b);
-                (on_triangle(mesh, hit.prim, b, place.uv), place.color)
-            }
+        let b = Vec2::new(hit.u, hit.v);
+        let mut local = match &surface.form {
+            Form::Mesh(mesh) => on_triangle(mesh, hit.prim, b, mesh_place(mesh, hit.prim, b).uv),
             Form::Quadric(quadric) => {
                 let (geometry, object_from_geometry) = &**quadric;
                 let own = tracer.object_from_world(hit.instance).transform_point3(point.p.as_dvec3());
                 let place = on_quadric(geometry, object_from_geometry.transform_point3(own));
-                (place.moved(&object_from_geometry.matrix3.inverse().as_mat3()), Rgb::ONE)
+                place.moved(&object_from_geometry.matrix3.inverse().as_mat3())
             }
         };
         if !tracer.is_in_place(hit.instance) {
@@ -161,7 +170,7 @@ impl World {
             surface: index,
             instance: hit.instance,
             uv: local.uv,
-            color,
+            b,
             dp_du: local.dp_du,
             dp_dv: local.dp_dv,
         }

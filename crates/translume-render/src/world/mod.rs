@@ -59,6 +59,8 @@ pub(crate) struct Surface {
     radiance: Option<TextureId>,
     /// Number of the light that the first primitive is.
     pub(crate) first_light: Option<u32>,
+    /// The same of the other side.
+    pub(crate) first_light_behind: Option<u32>,
     /// All primitives are that one light.
     pub(crate) one_light: bool,
     flip: bool,
@@ -163,7 +165,10 @@ impl World {
     pub fn shading(&self, hit: &SurfaceHit) -> Shading<'_> {
         let surface = &self.surfaces[hit.surface as usize];
         let (scene, prepared, under) = (&self.scene, &self.prepared, self.translucent(hit));
-        let mut shader = Shader { scene, prepared, hit, under, place: hit.place(), frame: hit.frame, unbent: None };
+        let standing =
+            (!self.tracer.is_in_place(hit.instance)).then(|| &self.tracer.instances()[hit.instance as usize]);
+        let place = self.place(hit);
+        let mut shader = Shader { scene, prepared, hit, standing, under, place, frame: hit.frame, unbent: None };
         let bsdf = shader.bsdf(surface.material);
         Shading { bsdf, frame: shader.frame, unbent: shader.unbent }
     }
@@ -215,8 +220,9 @@ impl World {
     pub fn emission(&self, hit: &SurfaceHit) -> Option<(Rgb, usize)> {
         let surface = &self.surfaces[hit.surface as usize];
         let radiance = surface.radiance?;
-        let light = light_of(surface, hit.prim)?;
-        (hit.wo.dot(hit.n()) > 0.0).then(|| (texture::eval(&self.scene, radiance, &hit.place()), light))
+        let cos = hit.wo.dot(hit.n());
+        let light = light_of(surface, hit.prim, cos < 0.0).filter(|_| cos != 0.0)?;
+        Some((texture::eval(&self.scene, radiance, &self.place(hit)), light))
     }
 
     /// The normal at `hit` for [`Lights::sample`]: on the side of `wo`, or zero where light may come from any side.

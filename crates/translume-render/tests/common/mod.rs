@@ -51,6 +51,7 @@ impl Maker {
             flip_normals: false,
             material,
             radiance: None,
+            shines_behind: false,
             interior: None,
             exterior: None,
         });

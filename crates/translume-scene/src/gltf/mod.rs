@@ -3,26 +3,29 @@
 //! Read are the core, `KHR_lights_punctual`, `KHR_texture_transform`, `EXT_mesh_gpu_instancing`, and of materials emissive
 //! strength, transmission (diffuse, too), index of refraction, volume (with the draft of its scattering), specular, clear coat, unlit and specular-glossiness. Other
 //! extensions are left out with a warning, or refused where the file requires them. Photometric units are taken as they
-//! are, so pictures of such files count in candela and lux.
+//! are, so pictures of such files count in candela and lux. Pictures are read as they are stored, whatever they say of
+//! their colours and orientation (glTF 2.0, §3.8). A file without a camera is seen from before, a little from above.
 //!
-//! Limits: first set of texture coordinates only; skins and morph targets at rest; no animation; surfaces reflect on
-//! both sides, and emissive ones shine on the front alone.
+//! Limits: nothing is animated, skins and morph targets are as the nodes have them; surfaces reflect on both sides, and
+//! emissive ones that are not double-sided shine on the front alone; a clear coat does not dim the emission under it.
 
 mod material;
+mod texture;
+mod translucent;
 
 use crate::builder::Builder;
 use crate::emitter::{Emitter, Falloff, Spot};
 use crate::scene::{Geometry, LoadOptions, MaterialId, MediumId, Scene, Shape, TextureId};
-use crate::sensor::{Film, FovAxis, Perspective, PixelFilter, Projection, Sensor};
+use crate::sensor::{Film, FovAxis, Perspective, PixelFilter, Projection, Sensor, look_at};
 use crate::{Error, Result, check};
-use glam::{DAffine3, DMat3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use serde_json::Value;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 use translume_bxdf::Rgb;
 use translume_mesh::TriMesh;
-use translume_mesh::gltf::Asset;
+use translume_mesh::gltf::{Asset, Pose};
 
 /// Extensions that are used, or that have nothing to do with pictures.
 const KNOWN: [&str; 17] = [
@@ -45,6 +48,10 @@ const KNOWN: [&str; 17] = [
     "KHR_xmp_json_ld",
 ];
 
+/// A small file can have one list of vertices in many poses. Reading stops at this many vertices and triangles, and eight
+/// more for each byte of the buffers.
+const LARGEST_POSED: usize = 1 << 25;
+
 /// A file cannot ask for more shapes than this.
 const MOST_SHAPES: usize = 10_000_000;
 
@@ -57,17 +64,22 @@ const WIDTH: u32 = 1280;
 /// [`Error::Io`]; [`Error::Invalid`] naming the element for damaged files; [`Error::Unsupported`] for required extensions
 /// that are not known here, unless `options.lenient`.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
-    let asset = Asset::open(path).map_err(Error::from)?;
+    let asset = Asset::open(path, &options.asset_roots).map_err(Error::from)?;
     let mut loader = Loader {
         builder: Builder::new(path, options),
         asset,
         meshes: HashMap::new(),
         materials: HashMap::new(),
+        sets: 0,
+        elements: 0,
         told: HashSet::new(),
     };
     loader.extensions()?;
     for (node, world_from_node) in loader.nodes()? {
         loader.node(node, &world_from_node)?;
+    }
+    if loader.builder.scene.sensors.is_empty() {
+        loader.default_view();
     }
     Ok(loader.builder.finish())
 }
@@ -77,16 +89,35 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 struct Dress {
     material: MaterialId,
     radiance: Option<TextureId>,
+    shines_behind: bool,
     interior: Option<MediumId>,
 }
+
+/// What of a mesh's vertices concerns its material.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+struct Vertices {
+    colors: bool,
+    alphas: bool,
+    /// Sets of texture coordinates.
+    sets: usize,
+}
+
+/// The triangles of a primitive, and whether they are in the world as they are; `None` for points and lines.
+type Primitive = Option<(Arc<TriMesh>, bool)>;
+
+/// What a primitive is made of, and the key of a pose.
+type PrimitiveKey = (String, (Vec<u32>, Option<usize>));
 
 struct Loader {
     builder: Builder,
     asset: Asset,
-    /// By mesh and primitive; `None` for points and lines.
-    meshes: HashMap<(usize, usize), Option<Arc<TriMesh>>>,
-    /// By number, and whether the mesh has colours.
-    materials: HashMap<(Option<usize>, bool), Dress>,
+    meshes: HashMap<PrimitiveKey, Primitive>,
+    /// By number, and what the mesh has.
+    materials: HashMap<(Option<usize>, Vertices), Dress>,
+    /// Sets of texture coordinates of the mesh whose material is read.
+    sets: usize,
+    /// Vertices and triangles that were read.
+    elements: usize,
     told: HashSet<String>,
 }
 
@@ -140,7 +171,7 @@ impl Loader {
             if std::mem::replace(&mut seen[index], true) {
                 return Err(self.invalid(format!("node {index} is reached twice: the nodes are no tree")));
             }
-            if node.extensions.get("KHR_node_visibility").is_some_and(|v| v["visible"] == Value::Bool(false)) {
+            if !node.is_visible() {
                 continue;
             }
             let world_from_node = world_from_parent * node.local_transform();
@@ -155,14 +186,10 @@ impl Loader {
         let name = node.name.clone().unwrap_or_default();
         let (mesh, camera) = (node.mesh.map(|m| m.get()), node.camera.map(|c| c.get()));
         let light = node.extensions.get("KHR_lights_punctual").map(|l| index_of(&l["light"]));
-        let instances = node.extensions.get("EXT_mesh_gpu_instancing").cloned();
         if let Some(mesh) = mesh {
-            let places = match instances {
-                Some(instances) => self.instances(&instances["attributes"])?,
-                None => vec![DAffine3::IDENTITY],
-            };
-            for place in places {
-                self.place(mesh, &name, *world_from_node * place)?;
+            let pose = self.asset.pose(index);
+            for place in self.asset.instances(index).map_err(Error::from)? {
+                self.place(mesh, &pose, &name, *world_from_node * place)?;
             }
         }
         if let Some(camera) = camera {
@@ -176,42 +203,24 @@ impl Loader {
         Ok(())
     }
 
-    /// The places of a node that draws its mesh many times.
-    fn instances(&self, attributes: &Value) -> Result<Vec<DAffine3>> {
-        fn rows<const N: usize>(asset: &Asset, accessor: &Value) -> Result<Vec<[f32; N]>> {
-            index_of(accessor).map_or(Ok(Vec::new()), |i| asset.accessor(i).map_err(Error::from))
-        }
-        let translations = rows::<3>(&self.asset, &attributes["TRANSLATION"])?;
-        let rotations = rows::<4>(&self.asset, &attributes["ROTATION"])?;
-        let scales = rows::<3>(&self.asset, &attributes["SCALE"])?;
-        let count = translations.len().max(rotations.len()).max(scales.len());
-        let vector =
-            |rows: &[[f32; 3]], i: usize, missing| rows.get(i).map_or(missing, |v| DVec3::from(v.map(f64::from)));
-        let place = |i| {
-            let rotation = rotations.get(i).map(|r: &[f32; 4]| DQuat::from_array(r.map(f64::from)));
-            let rotation = rotation.filter(|q| q.length_squared() > 1e-12).map_or(DQuat::IDENTITY, DQuat::normalize);
-            let (scale, t) = (vector(&scales, i, DVec3::ONE), vector(&translations, i, DVec3::ZERO));
-            DAffine3::from_scale_rotation_translation(scale, rotation, t)
-        };
-        Ok((0..count).map(place).collect())
-    }
-
     /// Puts the primitives of a mesh into the scene.
-    fn place(&mut self, mesh: usize, name: &str, world_from_object: DAffine3) -> Result<()> {
+    fn place(&mut self, mesh: usize, pose: &Pose, name: &str, world_from_object: DAffine3) -> Result<()> {
         let Some(source) = self.asset.document.meshes.get(mesh) else {
             return Err(self.invalid(format!("there is no mesh {mesh}")));
         };
-        if !check::is_invertible(&world_from_object) {
-            self.warn_once(format!("node {name:?} has a degenerate transform and is left out"));
-            return Ok(());
-        }
         let materials: Vec<Option<usize>> = source.primitives.iter().map(|p| p.material.map(|m| m.get())).collect();
         for (i, material) in materials.into_iter().enumerate() {
-            let Some(triangles) = self.primitive(mesh, i)? else {
+            let Some((triangles, in_world)) = self.primitive(mesh, i, pose)? else {
                 self.warn_once(format!("mesh {mesh} has points or lines, which are left out"));
                 continue;
             };
-            let Dress { material, radiance, interior } = self.material(material, triangles.colors.is_some())?;
+            if !in_world && !check::is_invertible(&world_from_object) {
+                self.warn_once(format!("node {name:?} has a degenerate transform and is left out"));
+                return Ok(());
+            }
+            let sets = triangles.uvs.as_ref().map_or(0, |_| 1 + triangles.more_uvs.len());
+            let vertices = Vertices { colors: triangles.colors.is_some(), alphas: triangles.alphas.is_some(), sets };
+            let Dress { material, radiance, shines_behind, interior } = self.material(material, vertices)?;
             if self.builder.scene.shapes.len() >= MOST_SHAPES {
                 let what = format!("more than {MOST_SHAPES} shapes");
                 return Err(Error::unsupported(&self.asset.path, None, what));
@@ -219,10 +228,11 @@ impl Loader {
             self.builder.scene.shapes.push(Shape {
                 name: name.to_owned(),
                 geometry: Geometry::Mesh(triangles),
-                world_from_object,
+                world_from_object: if in_world { DAffine3::IDENTITY } else { world_from_object },
                 flip_normals: false,
                 material,
                 radiance,
+                shines_behind,
                 interior,
                 exterior: None,
             });
@@ -230,18 +240,57 @@ impl Loader {
         Ok(())
     }
 
-    fn primitive(&mut self, mesh: usize, primitive: usize) -> Result<Option<Arc<TriMesh>>> {
-        if let Some(triangles) = self.meshes.get(&(mesh, primitive)) {
-            return Ok(triangles.clone());
+    fn primitive(&mut self, mesh: usize, primitive: usize, pose: &Pose) -> Result<Primitive> {
+        let key = (self.asset.recipe(mesh, primitive), pose.key());
+        if let Some(known) = self.meshes.get(&key) {
+            return Ok(known.clone());
         }
-        let mut triangles = self.asset.primitive(mesh, primitive).map_err(Error::from)?;
-        if let Some(triangles) = &mut triangles {
+        let posed = self.asset.posed(mesh, primitive, pose).map_err(Error::from)?;
+        let mut made = None;
+        if let Some(mut posed) = posed {
+            self.elements += posed.mesh.positions.len() + posed.mesh.indices.len();
+            let most = LARGEST_POSED.saturating_add(self.asset.size().saturating_mul(8));
+            if self.elements > most {
+                let what = format!("its primitives and poses have more than {most} vertices and triangles together");
+                return Err(Error::unsupported(&self.asset.path, None, what));
+            }
+            // Primitives may share one list of vertices of which each uses a part.
+            if posed.mesh.positions.len() > 6 * posed.mesh.indices.len() {
+                posed.mesh.compact();
+            }
             let name = format!("{}: mesh {mesh}, primitive {primitive}", self.asset.path.display());
-            self.builder.clean(triangles, &name);
+            self.builder.clean(&mut posed.mesh, &name);
+            made = Some((Arc::new(posed.mesh), posed.in_world));
         }
-        let triangles = triangles.map(Arc::new);
-        self.meshes.insert((mesh, primitive), triangles.clone());
-        Ok(triangles)
+        self.meshes.insert(key, made.clone());
+        Ok(made)
+    }
+
+    /// A camera for a file without one: from before and a little from above and the side, with everything in view.
+    fn default_view(&mut self) {
+        let bounds = self.builder.scene.bounds();
+        if bounds.is_empty() {
+            return;
+        }
+        let (center, radius) = (bounds.center().as_dvec3(), 0.5 * bounds.extent().as_dvec3().length());
+        let radius = if radius > 0.0 { radius } else { 1.0 };
+        // The sphere around everything touches the shorter sides of the picture, but for a margin.
+        let fov = 0.7_f64;
+        let distance = 1.02 * radius / (0.5 * fov).sin();
+        let towards = DVec3::new(0.45, 0.35, 1.0).normalize();
+        let Some(world_from_camera) = look_at(center + towards * distance, center, DVec3::Y) else { return };
+        let perspective = Perspective { fov: fov as f32, fov_axis: FovAxis::Smaller, principal_point_offset: [0.0; 2] };
+        self.builder.scene.sensors.push(Sensor {
+            name: "default view".to_owned(),
+            world_from_camera,
+            projection: Projection::Perspective(perspective),
+            near_clip: (1e-3 * radius) as f32,
+            far_clip: f32::MAX,
+            film: Film { size: [WIDTH, WIDTH * 9 / 16], crop: None, filter: PixelFilter::default() },
+            sample_count: None,
+            medium: None,
+        });
+        self.warn_once("the file has no camera: everything in it is seen from before, a little from above".to_owned());
     }
 
     /// A camera looks along −z of its node, +x is right. Scales of nodes do not change cameras.

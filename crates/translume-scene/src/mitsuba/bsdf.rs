@@ -3,7 +3,7 @@
 use super::Loader;
 use super::object::{Object, Value};
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, Plastic, Principled, Roughness, ThinPrincipled};
+use crate::material::{Conductor, Dielectric, Model, NormalAxes, Plastic, Principled, Roughness, ThinPrincipled};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use std::rc::Rc;
@@ -81,9 +81,12 @@ impl Loader {
                 scale: object.number("scale")?.unwrap_or(1.0) as f32,
                 nested: self.nested(object)?,
             },
-            "normalmap" => {
-                Model::NormalMap { normals: self.nested_texture(object)?, scale: 1.0, nested: self.nested(object)? }
-            }
+            "normalmap" => Model::NormalMap {
+                normals: self.nested_texture(object)?,
+                scale: 1.0,
+                axes: NormalAxes::RightHanded,
+                nested: self.nested(object)?,
+            },
             "blendbsdf" => Model::Blend {
                 weight: self.texture(object, "weight", 0.5, FACTOR)?,
                 first: self.nested(object)?,

@@ -146,7 +146,17 @@ impl Loader {
             None => self.builder.gray(0.5),
         };
         let name = object.id.clone();
-        Ok(Shape { name, geometry, world_from_object, flip_normals, material, radiance, interior, exterior })
+        Ok(Shape {
+            name,
+            geometry,
+            world_from_object,
+            flip_normals,
+            material,
+            radiance,
+            shines_behind: false,
+            interior,
+            exterior,
+        })
     }
 
     fn medium_named(&mut self, object: &Object, name: &str) -> Result<Option<MediumId>> {

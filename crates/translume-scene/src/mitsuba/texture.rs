@@ -151,6 +151,7 @@ impl Loader {
             Some(other) => return Err(object.place.invalid(format!("{other:?} is no channel of a texture"))),
         };
         Ok(Bitmap {
+            set: 0,
             image: self.builder.image(&path, raw).map_err(|e| e.at(&object.place.file, object.place.line))?,
             image_from_uv: image_from_uv(object)?,
             filter,
@@ -168,6 +169,9 @@ impl Loader {
             None => self.texture(object, "value", 1.0, quantity)?,
         };
         Ok(match self.builder.scene.textures[inner.0].clone() {
+            Texture::VertexAlpha | Texture::Product(..) | Texture::Complement(_) | Texture::Threshold { .. } => {
+                Texture::Product(inner, self.builder.constant(factor))
+            }
             Texture::Constant(rgb) => Texture::Constant(rgb * factor),
             Texture::Bitmap(bitmap) => Texture::Bitmap(Bitmap { scale: bitmap.scale * factor, ..bitmap }),
             Texture::VertexColor(rgb) => Texture::VertexColor(rgb * factor),

@@ -4,7 +4,7 @@ use super::Loader;
 use super::lexer::{self, Place, Values};
 use super::parameters::Parameters;
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, Plastic, Roughness, Subsurface};
+use crate::material::{Conductor, Dielectric, Model, NormalAxes, Plastic, Roughness, Subsurface};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use crate::texture::{Bitmap, Channel, Checkerboard, Filter, Texture, Wrap};
@@ -44,7 +44,9 @@ impl Loader {
         }
         if let Some(file) = p.text("normalmap")? {
             let normals = self.bitmap(file, &p.place, true, DAffine2::IDENTITY, Rgb::ONE, Wrap::Repeat)?;
-            id = self.builder.material(name, Model::NormalMap { normals, scale: 1.0, nested: id });
+            id = self
+                .builder
+                .material(name, Model::NormalMap { normals, scale: 1.0, axes: NormalAxes::RightHanded, nested: id });
         }
         if let Some(texture) = p.texture("displacement") {
             let height = self.named_texture(texture, &p.place)?;
@@ -317,6 +319,7 @@ impl Loader {
         let flip = DAffine2::from_cols(DVec2::X, DVec2::NEG_Y, DVec2::Y);
         Ok(self.builder.texture(Texture::Bitmap(Bitmap {
             image,
+            set: 0,
             image_from_uv: flip * mapping,
             filter: Filter::Bilinear,
             wrap: [wrap; 2],

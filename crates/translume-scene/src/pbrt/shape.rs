@@ -42,11 +42,13 @@ impl Loader {
         if let Some(opacity) = self.optional(p, "alpha")? {
             material = self.builder.material("", Model::Mask { opacity, nested: material });
         }
+        let mut shines_behind = false;
         let radiance = match self.state.area_light.clone() {
             Some(light) => {
-                if light.boolean("twosided", false)? || light.get("filename").is_some() {
-                    return Err(light.place.unsupported("area lights of both sides or from a picture"));
+                if light.get("filename").is_some() {
+                    return Err(light.place.unsupported("area lights from a picture"));
                 }
+                shines_behind = light.boolean("twosided", false)?;
                 let radiance = self.strength(&light, "L")?;
                 self.finish("diffuse", &light);
                 Some(self.builder.constant(radiance))
@@ -61,6 +63,7 @@ impl Loader {
             flip_normals: self.state.reverse,
             material,
             radiance,
+            shines_behind,
             interior: self.state.interior,
             exterior: self.state.exterior,
         };
@@ -103,7 +106,7 @@ impl Loader {
             None => p.rows::<2>("st")?,
         };
         let _ = p.get("S");
-        let mut mesh = TriMesh { positions, normals: p.rows::<3>("N")?, uvs, colors: None, indices };
+        let mut mesh = TriMesh { positions, normals: p.rows::<3>("N")?, uvs, indices, ..TriMesh::default() };
         if let Some(fault) = mesh.fault() {
             return Err(p.place.invalid(fault));
         }

@@ -58,8 +58,11 @@ pub(crate) fn mitsuba_error(inside: &str) -> String {
 pub(crate) fn check(scene: &Scene) {
     let texture = |id: TextureId| assert!(id.0 < scene.textures.len());
     for (i, t) in scene.textures.iter().enumerate() {
-        if let Texture::Checkerboard(board) = t {
-            assert!(board.color0.0 < i && board.color1.0 < i);
+        match t {
+            Texture::Checkerboard(board) => assert!(board.color0.0 < i && board.color1.0 < i),
+            Texture::Product(a, b) => assert!(a.0 < i && b.0 < i),
+            Texture::Complement(of) | Texture::Threshold { of, .. } => assert!(of.0 < i),
+            _ => {}
         }
     }
     for (i, material) in scene.materials.iter().enumerate() {
@@ -68,6 +71,23 @@ pub(crate) fn check(scene: &Scene) {
             Model::Diffuse { reflectance } => texture(*reflectance),
             Model::DiffuseTransmission { reflectance, transmittance } => {
                 [*reflectance, *transmittance].into_iter().for_each(texture);
+            }
+            Model::MetalRough(p) => {
+                let normals = p.coat_normals.map_or(p.coat, |(id, _)| id);
+                [
+                    p.base_color,
+                    p.metallic,
+                    p.roughness,
+                    p.f0,
+                    p.specular,
+                    p.transmission,
+                    p.coat,
+                    p.coat_roughness,
+                    normals,
+                ]
+                .into_iter()
+                .for_each(texture);
+                assert!(p.solid.is_none_or(|eta| eta >= 1.0 && eta.is_finite()));
             }
             Model::ThinPrincipled(p) => {
                 [p.base_color, p.transmission_color, p.diff_trans, p.roughness, p.metallic]

@@ -63,6 +63,9 @@ struct InfoArgs {
     /// Only this part, counted from 0
     #[arg(long, value_name = "N")]
     part: Option<usize>,
+    /// Files of a glTF file may be in this folder, too, beside its own
+    #[arg(long, value_name = "DIR")]
+    asset_root: Vec<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -76,6 +79,9 @@ struct ConvertArgs {
     /// Only this part, counted from 0
     #[arg(long, value_name = "N")]
     part: Option<usize>,
+    /// Files of a glTF file may be in this folder, too, beside its own
+    #[arg(long, value_name = "DIR")]
+    asset_root: Vec<PathBuf>,
     /// Compute normals anew, smooth over edges up to this angle
     #[arg(long, value_name = "DEGREES")]
     normals: Option<f32>,
@@ -91,8 +97,11 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     }
 }
 
-fn load(input: &Path, part: Option<usize>, ctx: &Context) -> anyhow::Result<Loaded> {
-    let loaded = read(input, &ReadOptions { part })?;
+fn load(input: &Path, part: Option<usize>, roots: &[PathBuf], ctx: &Context) -> anyhow::Result<Loaded> {
+    let loaded = read(input, &ReadOptions { part, asset_roots: roots.to_vec() }).map_err(|e| match e {
+        translume_mesh::Error::Outside { .. } => anyhow!("{e}: {}", super::OUTSIDE),
+        other => other.into(),
+    })?;
     loaded.warnings.iter().for_each(|w| ctx.warn(format!("{}: {w}", input.display())));
     Ok(loaded)
 }
@@ -102,7 +111,7 @@ fn merged(input: &Path, loaded: Loaded) -> anyhow::Result<TriMesh> {
 }
 
 fn info(args: &InfoArgs, ctx: &Context) -> anyhow::Result<()> {
-    let loaded = load(&args.input, args.part, ctx)?;
+    let loaded = load(&args.input, args.part, &args.asset_root, ctx)?;
     let parts: Vec<Value> = loaded
         .parts
         .iter()
@@ -210,7 +219,7 @@ fn convert(args: &ConvertArgs, ctx: &Context) -> anyhow::Result<()> {
         return Err(Usage(format!("--scale {}: it must be finite and not 0", args.scale)).into());
     }
     ctx.claim(&[&args.input], &[&args.output])?;
-    let mut mesh = merged(&args.input, load(&args.input, args.part, ctx)?)?;
+    let mut mesh = merged(&args.input, load(&args.input, args.part, &args.asset_root, ctx)?)?;
     if args.scale != 1.0 {
         mesh.transform(&translume_mesh::glam::DAffine3::from_scale(translume_mesh::glam::DVec3::splat(args.scale)));
     }

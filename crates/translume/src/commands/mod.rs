@@ -48,10 +48,28 @@ pub(crate) enum Verb {
 }
 
 /// How scenes are read: measured translucent objects too.
-fn load_options(lenient: bool, defines: Vec<(String, String)>) -> translume_scene::LoadOptions {
+fn load_options(
+    lenient: bool,
+    defines: Vec<(String, String)>,
+    asset_roots: &[std::path::PathBuf],
+) -> translume_scene::LoadOptions {
     let load = |path: &std::path::Path| translume_scatter::material::load_material(path).map_err(|e| e.to_string());
-    translume_scene::LoadOptions { lenient, defines, bssrdf_loader: Some(load) }
+    translume_scene::LoadOptions { lenient, defines, bssrdf_loader: Some(load), asset_roots: asset_roots.to_vec() }
 }
+
+/// Reads a scene.
+fn load_scene(
+    path: &std::path::Path,
+    options: &translume_scene::LoadOptions,
+) -> anyhow::Result<translume_scene::Scene> {
+    translume_scene::load(path, options).map_err(|e| match e {
+        translume_scene::Error::Outside { .. } => anyhow::anyhow!("{e}: {OUTSIDE}"),
+        other => other.into(),
+    })
+}
+
+/// What to do about files that must not be read.
+const OUTSIDE: &str = "name the folder that it may be in with --asset-root DIR";
 
 impl Verb {
     /// Does it.

@@ -65,7 +65,7 @@ pub(crate) struct Args {
     /// The picture, .exr
     #[arg(short, long, value_name = "OUT.exr")]
     output: PathBuf,
-    /// The method [default: the scene's, or path]
+    /// The method [default: the scene's, or path; volpath where there are media]
     #[arg(long, value_name = "NAME", value_parser = integrator_names())]
     integrator: Option<String>,
     #[arg(short = 'O', long = "option", value_name = "NAME=VALUE", value_parser = parse_define, help = "An option of the method",
@@ -119,6 +119,9 @@ pub(crate) struct Args {
     /// Leave out what is not supported, with a warning
     #[arg(long)]
     lenient: bool,
+    /// Files of a glTF scene may be in this folder, too, beside its own
+    #[arg(long, value_name = "DIR")]
+    asset_root: Vec<PathBuf>,
 }
 
 fn integrator_names() -> clap::builder::PossibleValuesParser {
@@ -166,8 +169,8 @@ pub(super) fn parse_define(text: &str) -> Result<(String, String), String> {
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     check_outputs(&args, ctx)?;
     let begun = Instant::now();
-    let options = super::load_options(args.lenient, args.set.clone());
-    let scene = Arc::new(translume_scene::load(&args.scene, &options)?);
+    let options = super::load_options(args.lenient, args.set.clone(), &args.asset_root);
+    let scene = Arc::new(super::load_scene(&args.scene, &options)?);
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     let world = World::new(scene.clone()).with_context(|| args.scene.display().to_string())?;
     let loaded = begun.elapsed();
@@ -325,7 +328,10 @@ fn method(args: &Args, scene: &Scene, ctx: &Context) -> (String, Settings) {
     if args.integrator.is_none() && !known && !wanted.name.is_empty() {
         ctx.warn(format!("the scene's integrator `{}` is not known here: rendering with `path`", wanted.name));
     }
-    let name = args.integrator.clone().unwrap_or_else(|| if known { wanted.name.clone() } else { "path".into() });
+    // A file that names none wants what it holds to be seen.
+    let has_media = !scene.media.is_empty();
+    let missing = if wanted.name.is_empty() && has_media { "volpath" } else { "path" };
+    let name = args.integrator.clone().unwrap_or_else(|| if known { wanted.name.clone() } else { missing.into() });
     let own = Settings::of(scene);
     let settings = Settings { max_depth: args.max_depth.map_or(own.max_depth, |n| (n > 0).then_some(n)), ..own };
     (name, settings)

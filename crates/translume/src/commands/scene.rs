@@ -44,12 +44,15 @@ struct InfoArgs {
     /// Value of a parameter of the scene file
     #[arg(long, alias = "define", value_name = "NAME=VALUE", value_parser = parse_define)]
     set: Vec<(String, String)>,
+    /// Files of a glTF scene may be in this folder, too, beside its own
+    #[arg(long, value_name = "DIR")]
+    asset_root: Vec<PathBuf>,
 }
 
 pub(crate) fn run(args: Args, ctx: &Context) -> Result<()> {
     let Verb::Info(args) = args.verb;
-    let options = super::load_options(args.lenient, args.set);
-    let scene = translume_scene::load(&args.scene, &options)?;
+    let options = super::load_options(args.lenient, args.set, &args.asset_root);
+    let scene = super::load_scene(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     ctx.text(text(&scene).trim_end())?;
     ctx.emit_json(as_json(&scene))
@@ -90,6 +93,7 @@ fn material_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
         Model::Plastic(_) => "plastic",
         Model::RoughPlastic { .. } => "rough plastic",
         Model::Principled(_) => "principled",
+        Model::MetalRough(_) => "metallic roughness",
         Model::ThinPrincipled(_) => "thin principled",
         Model::Measured(_) => "measured",
         Model::Subsurface(_) => "subsurface",
@@ -107,6 +111,10 @@ fn texture_kinds(scene: &Scene) -> Vec<(&'static str, usize)> {
         Texture::Bitmap(_) => "bitmap",
         Texture::Checkerboard(_) => "checkerboard",
         Texture::VertexColor(_) => "vertex colour",
+        Texture::VertexAlpha => "vertex alpha",
+        Texture::Product(..) => "product",
+        Texture::Complement(_) => "complement",
+        Texture::Threshold { .. } => "threshold",
     }))
 }
 

@@ -360,7 +360,7 @@ impl<'a> Eye<'a> {
     fn emitted(&self, path: &[Vertex], v: &Vertex, depth: u32, behind: f32, above: Above) -> Rgb {
         let Some((radiance, light)) = self.world.emission(&v.hit) else { return Rgb::ZERO };
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
-        let point = LightPoint { light, p: v.hit.point.p, n: v.hit.n(), far: false };
+        let point = LightPoint { light, p: v.hit.point.p, n: v.hit.seen_n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
         let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));

@@ -83,6 +83,9 @@ pub(crate) struct Args {
     /// Leave out what is not supported, with a warning
     #[arg(long)]
     lenient: bool,
+    /// Files of a glTF scene may be in this folder, too, beside its own
+    #[arg(long, value_name = "DIR")]
+    asset_root: Vec<PathBuf>,
 }
 
 /// Most lamps that are rendered at once: an interruption loses the work on them.
@@ -100,8 +103,8 @@ fn parse_clamp(text: &str) -> Result<f32, String> {
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     ctx.protect(&[&args.scene], &[&args.output])?;
-    let options = crate::commands::load_options(args.lenient, args.set.clone());
-    let scene = translume_scene::load(&args.scene, &options)?;
+    let options = crate::commands::load_options(args.lenient, args.set.clone(), &args.asset_root);
+    let scene = crate::commands::load_scene(&args.scene, &options)?;
     scene.warnings.iter().for_each(|w| ctx.warn(w));
     let (scene, put_out) = light_stage::unlit(&scene);
     let sensor =
