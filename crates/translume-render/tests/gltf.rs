@@ -25,7 +25,7 @@ fn colours_multiply() {
     let plain = f.primitive(material);
     let mut colored = plain.clone();
     colored["attributes"]["COLOR_0"] = f.all([0.5, 1.0, 0.25]).into();
-    let node = f.placed(plain, json!({}));
+    f.placed(plain, json!({}));
     f.shows([0.5, 0.0, 0.5], 1e-3);
     f.json["meshes"][0]["primitives"][0] = colored;
     f.shows([0.25, 0.0, 0.125], 1e-3);
@@ -33,7 +33,6 @@ fn colours_multiply() {
     let bytes = f.bytes("VEC4", &[51, 255, 102, 255].repeat(4), true);
     f.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = bytes.into();
     f.shows([0.1, 0.0, 0.2], 1e-3);
-    let _ = node;
 }
 
 /// §3.9.4: alpha of the vertices counts as well; a mask is there from the cutoff on.
@@ -386,7 +385,7 @@ fn clear_coats() {
     let mut f = tilted(UP);
     f.json["nodes"][1]["rotation"] = json!([0, 0, 0, 1]);
     f.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!(black);
-    f.json["materials"][0]["extensions"]["KHR_materials_clearcoat"] = coat.clone();
+    f.json["materials"][0]["extensions"]["KHR_materials_clearcoat"] = coat;
     f.shows([0.0772; 3], 0.02);
     let normals = f.json["materials"][0].as_object_mut().unwrap().remove("normalTexture").unwrap();
     f.json["materials"][0]["extensions"]["KHR_materials_clearcoat"]["clearcoatNormalTexture"] = normals;
@@ -395,7 +394,6 @@ fn clear_coats() {
     let d = alpha2 / (std::f32::consts::PI * (cos2 * (alpha2 - 1.0) + 1.0).powi(2));
     let g1 = 2.0 / (1.0 + (1.0 + alpha2 * (1.0 - cos2) / cos2).sqrt());
     let expected = 0.04 * d * g1 * g1 / (4.0 * cos2) * cos2.sqrt() * std::f32::consts::PI;
-    let _ = coat;
     f.shows([expected; 3], 0.03);
 }
 
