@@ -21,6 +21,9 @@ pub const DEFAULT_DECODED_RATIO: u64 = 64;
 /// Bytes out per byte in that DEFLATE (1032), LZW (about 2700), JPEG (about 1000) and RLE (64) cannot exceed.
 pub(crate) const MAX_RATIO: u64 = 4096;
 
+/// What messages say to do about the limit, for programs to add how.
+pub const RAISE_LIMIT: &str = "raise it if the file is to be trusted";
+
 /// The limit that was set; 0 stands for none.
 static MAX_DECODED: AtomicU64 = AtomicU64::new(0);
 
@@ -91,8 +94,7 @@ impl Claim {
         let (wanted, limit) = (4 * width * height * channels.max(3), max_decoded_bytes(file_bytes));
         if wanted > limit {
             let what = format!(
-                "{width} × {height} pixels take {} when decoded, from a file of {}; the limit is {}: raise it if the \
-                 file is to be trusted",
+                "{width} × {height} pixels take {} when decoded, from a file of {}; the limit is {}: {RAISE_LIMIT}",
                 bytes_text(wanted),
                 bytes_text(file_bytes),
                 bytes_text(limit)

@@ -64,9 +64,27 @@ pub(crate) struct GlobalOptions {
     /// Append all messages, those of -vv included, to a file
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) log_file: Option<PathBuf>,
+    /// Most memory that one picture may take when decoded, such as 8G [default: 2 GiB, or 64 times its file]
+    #[arg(long, global = true, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(crate) max_image_memory: Option<u64>,
     /// Leave the command line out of the files that are written (it names files without their directories)
     #[arg(long, global = true)]
     pub(crate) no_provenance: bool,
+}
+
+/// `500M`, `8G`, `8GiB`, or bytes.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = match text[digits.len()..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b') {
+        "" => 1.0,
+        "k" => 1024.0,
+        "m" => 1048576.0,
+        "g" => 1073741824.0,
+        "t" => 1099511627776.0,
+        _ => f64::NAN,
+    };
+    let bytes = digits.trim().parse::<f64>().ok().map(|n| n * unit).filter(|b| *b >= 1.0 && *b <= 1e18);
+    bytes.map(|b| b as u64).ok_or_else(|| "a size such as 500M or 8G is wanted".into())
 }
 
 /// A mistake in how the program was called that clap cannot see: reported like any error, but with exit status 2.
@@ -110,6 +128,7 @@ fn execute(matches: &clap::ArgMatches, argv: &[OsString], verb_name: &str) -> u8
     let begun = Cli::from_arg_matches(matches).map_err(anyhow::Error::from).and_then(|cli| {
         let context = Context::new(&cli.global, argv, &config::paths(&command(), matches))?;
         signals::listen()?;
+        translume_image::limits::set_max_decoded_bytes(cli.global.max_image_memory);
         if let Some(threads) = cli.global.threads {
             rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
         }

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
 use translume_image::atomic::{self, Place, Stream};
+use translume_image::limits::RAISE_LIMIT;
 
 /// What a verb gets besides its own arguments.
 pub(crate) struct Context {
@@ -365,6 +366,7 @@ pub(crate) fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
         let cause = flatten(&cause.to_string());
+        let cause = cause.replace(RAISE_LIMIT, &format!("{RAISE_LIMIT}, with --max-image-memory"));
         if line.is_empty() {
             line = cause;
         } else if !line.ends_with(&cause) {

@@ -188,3 +188,16 @@ fn names_do_not_reach_the_terminal_raw() {
     let error = translume(dir.path(), &["image", "info", "\u{1b}[31mred.exr"]).error(1);
     assert!(!error.contains('\u{1b}') && error.contains("[31mred.exr"), "{error:?}");
 }
+
+#[test]
+fn the_memory_of_a_picture_can_be_limited() {
+    let dir = tempdir().unwrap();
+    image::RgbImage::new(64, 64).save(dir.path().join("a.png")).unwrap();
+    let info = |limit: &str| translume(dir.path(), &["image", "info", "a.png", "--max-image-memory", limit]);
+    info("48k").ok();
+    let error = info("47.9KiB").error(1);
+    assert!(error.contains("a.png") && error.contains("--max-image-memory"), "{error}");
+    for wrong in ["much", "-5", "0", "3x"] {
+        assert!(info(wrong).error(2).contains("a size such as"), "{wrong}");
+    }
+}
