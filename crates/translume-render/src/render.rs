@@ -99,7 +99,7 @@ impl<'a> Shot<'a> {
     /// As [`Film::new`].
     pub fn film(&self, aovs: &[Aov]) -> Result<Film> {
         let film = Film::new(self.size(), aovs)?;
-        Ok(if self.integrator.splats() { film.with_splats() } else { film })
+        Ok(if self.integrator.splats() { film.with_splats(self.world.lights().typical()) } else { film })
     }
 
     /// Width and height of the picture.
