@@ -199,10 +199,10 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     // Other methods and random numbers give the same picture in the limit; what else differs does not.
     let views = args.camera_path.as_ref().and_then(|p| std::fs::read_to_string(p).ok());
     let pictured = format!("{:?}", (settings.max_depth, settings.hide_emitters, args.size, views));
-    if shots.len() > 1 {
-        integrator.prepare_views(&shots);
-    }
     let stop = signals::stop_flag();
+    if shots.len() > 1 {
+        integrator.prepare_views(&shots, &stop);
+    }
     let mut frames = Vec::new();
     for (number, shot) in shots.iter().enumerate() {
         let mut film = shot.film(&aovs)?;
