@@ -3,6 +3,7 @@
 mod bdpt;
 mod direct;
 pub mod gkernel;
+mod nearest;
 mod path;
 mod photonmap;
 mod volpath;
@@ -22,6 +23,7 @@ use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
 pub use gkernel::GKernel;
+pub use nearest::{Likeness, Nearest, nearest};
 pub use path::Path;
 pub use photonmap::PhotonMapping;
 pub use volpath::Volpath;
