@@ -24,12 +24,14 @@ pub(super) fn colored(mesh: &Arc<TriMesh>, path: &Path, name: &str) -> Option<Ar
 /// The mesh with corners of their own for each triangle, in its colour.
 fn by_face(mesh: &TriMesh, values: &[[f32; 3]]) -> TriMesh {
     let corners = || mesh.indices.iter().flatten().map(|i| *i as usize);
+    // What else there may be is glTF's; nothing that this format has is left out.
     TriMesh {
         positions: corners().map(|i| mesh.positions[i]).collect(),
         normals: mesh.normals.as_ref().map(|n| corners().map(|i| n[i]).collect()),
         uvs: mesh.uvs.as_ref().map(|uv| corners().map(|i| uv[i]).collect()),
         colors: Some(values.iter().flat_map(|v| [*v; 3]).collect()),
         indices: (0..mesh.indices.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect(),
+        ..TriMesh::default()
     }
 }
 
