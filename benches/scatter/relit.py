@@ -91,7 +91,8 @@ def scene(name, medium, eye, light, samples):
     else:
         emitter = (f'<emitter type="projector"><transform name="to_world"><lookat origin="{vector(light["position"])}" target="{vector(light["target"])}" up="0,0,1"/></transform>'
                    f'<float name="fov" value="{light["fov_deg"]}"/><texture name="irradiance" type="bitmap"><string name="filename" value="{light["file"]}"/></texture>'
-                   f'<float name="scale" value="{light["scale"]}"/></emitter>')
+                   # Mitsuba's irradiance is ours over pi.
+                   f'<float name="scale" value="{light["scale"] / math.pi}"/></emitter>')
     volume = lambda n: (f'<volume name="{n}" type="gridvolume"><string name="filename" value="{medium}-{n}.vol"/><boolean name="use_grid_bbox" value="true"/>'
                         '<boolean name="raw" value="true"/><string name="filter_type" value="nearest"/></volume>')
     with open(name, "w") as out:

@@ -72,7 +72,8 @@ impl Principled {
 
     #[inline]
     pub(crate) fn flags(&self) -> Flags {
-        let flags = Flags::REFLECTION.or(Flags::GLOSSY).or(Flags::DIFFUSE);
+        let flags = Flags::REFLECTION.or(Flags::GLOSSY);
+        let flags = if self.base() > 0.0 { flags.or(Flags::DIFFUSE) } else { flags };
         if self.transmission() > 0.0 { flags.or(Flags::TRANSMISSION) } else { flags }
     }
 

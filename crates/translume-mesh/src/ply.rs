@@ -308,9 +308,10 @@ const SLOTS: [&[&str]; 11] = [
     &["nz"],
     &["u", "s", "texture_u", "texture_s"],
     &["v", "t", "texture_v", "texture_t"],
-    &["red", "r", "diffuse_red"],
-    &["green", "g", "diffuse_green"],
-    &["blue", "b", "diffuse_blue"],
+    // The last of each is what Mitsuba 3 writes of its attribute `vertex_color`.
+    &["red", "r", "diffuse_red", "color_0"],
+    &["green", "g", "diffuse_green", "color_1"],
+    &["blue", "b", "diffuse_blue", "color_2"],
 ];
 
 fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parsed<()> {

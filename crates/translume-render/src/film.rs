@@ -3,7 +3,7 @@
 //! Sums are in double precision and in the order of the samples, so that a picture does not depend on threads, on the
 //! lengths of passes, or on interruptions. What light paths add all over the film is kept apart (`splat.rs`).
 
-use crate::splat::{self, Splats};
+use crate::splat::Splats;
 use crate::{Error, Result, Rgb};
 use glam::Vec3;
 
@@ -127,10 +127,11 @@ impl Film {
         Ok(Self { size, aovs: aovs.to_vec(), tiles, splats: None })
     }
 
-    /// The same film, ready for methods that splat ([`crate::integrator::Integrator::splats`]).
-    pub fn with_splats(mut self) -> Self {
+    /// The same film, ready for methods that splat ([`crate::integrator::Integrator::splats`]), of a picture of about the brightness
+    /// `typical` ([`crate::light::Lights::typical`]).
+    pub fn with_splats(mut self, typical: f64) -> Self {
         let pixels = self.size[0] as usize * self.size[1] as usize;
-        self.splats = Some(Splats::new(pixels, self.aovs.contains(&Aov::Variance)));
+        self.splats = Some(Splats::new(pixels, self.aovs.contains(&Aov::Variance), typical));
         self
     }
 
@@ -145,8 +146,7 @@ impl Film {
         let Some(splats) = &self.splats else { return (0.0, 0.0) };
         let samples = self.mean_samples();
         let pixels = splats.sums.len() as f64;
-        let sum = splat::float(splats.sums[at][c]);
-        let square = splats.squares.get(at).map_or(0.0, |s| splat::float(s[c]));
+        let (sum, square) = splats.sum(at, c);
         // One path's mean share is of one pixel's sample the part 1/pixels.
         (sum / samples.max(1e-300), pixels * pixels * variance_of(sum, square, samples * pixels))
     }

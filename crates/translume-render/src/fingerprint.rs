@@ -64,8 +64,8 @@ impl Hash {
     fn volume(&mut self, volume: &Volume) {
         match volume {
             Volume::Constant(rgb) => self.debug(rgb),
-            Volume::Grid { grid, world_from_grid, samples, filter } => {
-                self.debug(&(grid.size, grid.channels, world_from_grid, samples, filter));
+            Volume::Grid { grid, world_from_grid, samples, filter, wrap } => {
+                self.debug(&(grid.size, grid.channels, world_from_grid, samples, filter, wrap));
                 self.floats(grid.values.iter().copied());
             }
         }
@@ -101,7 +101,7 @@ pub fn fingerprint(scene: &Scene, settings: &str) -> u64 {
     for medium in &scene.media {
         hash.volume(&medium.sigma_t);
         hash.volume(&medium.albedo);
-        hash.debug(&(medium.scale, medium.phase));
+        hash.debug(&(medium.scale, medium.phase, medium.domain));
     }
     hash.debug(&scene.sensors.first());
     hash.0

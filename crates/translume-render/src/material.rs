@@ -1,14 +1,20 @@
 //! From the description of a material to the BSDF at a shading point.
 //!
 //! Adapters that turn the frame are resolved here: of `TwoSided` the side that `wo` is on, with the normal turned to it;
-//! bump and normal maps bend the frame. Limit: of a blend, the frame that its first part bends serves both.
+//! bump and normal maps bend the frame. Blends of blends are one mixture of all that they come down to (`mixture`). Interfaces of
+//! equal indices are none: light goes straight on. Limit: of a blend, the frame that its first part bends serves both.
+
+mod mixture;
+mod traits;
 
 use crate::texture::{self, Place};
 use crate::world::{SurfaceHit, Translucent};
 use crate::{Rgb, luminance};
 use glam::Vec3;
+pub(crate) use mixture::Mixture;
 use std::collections::HashMap;
 use std::sync::Arc;
+pub(crate) use traits::{Traits, traits};
 use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
 use translume_core::frame::Frame;
 use translume_scene::material::{
@@ -44,41 +50,15 @@ pub(crate) fn prepare(scene: &Scene) -> Vec<Prepared> {
     scene.materials.iter().map(one).collect()
 }
 
-/// Materials that let light pass straight, and those that light can go through in any way.
-pub(crate) fn passes(scene: &Scene, id: MaterialId) -> (bool, bool) {
-    let both = |a: (bool, bool), b: (bool, bool)| (a.0 || b.0, a.1 || b.1);
-    match &scene.materials[id.0].model {
-        Model::Null | Model::ThinDielectric(_) => (true, true),
-        Model::Dielectric(_) | Model::RoughDielectric { .. } => (false, true),
-        Model::Principled(p) => (false, scene.constant(p.spec_trans) != Some(Rgb::ZERO)),
-        Model::MetalRough(p) => {
-            let through = scene.constant(p.transmission) != Some(Rgb::ZERO);
-            let smooth = scene.constant(p.roughness).map_or(0.0, |r| r.x);
-            (through && bxdf::MetalRough::is_straight(p.solid.is_none(), p.solid.unwrap_or(1.0), smooth), through)
-        }
-        Model::DiffuseTransmission { transmittance: id, .. } => (false, scene.constant(*id) != Some(Rgb::ZERO)),
-        Model::ThinPrincipled(p) => (false, scene.constant(p.diff_trans) != Some(Rgb::ZERO)),
-        Model::TwoSided { front, back } => both(passes(scene, *front), passes(scene, *back)),
-        Model::Mask { opacity, nested } => {
-            let open = scene.constant(*opacity) != Some(Rgb::ONE);
-            both((open, open), passes(scene, *nested))
-        }
-        Model::BumpMap { nested, .. } | Model::NormalMap { nested, .. } => passes(scene, *nested),
-        Model::Blend { first, second, .. } => both(passes(scene, *first), passes(scene, *second)),
-        _ => (false, false),
-    }
-}
+/// Ratios of indices this near 1 are 1: rounding would be left of the directions between microfacets.
+const NO_INTERFACE: f32 = 1e-4;
 
-/// Materials whose front and back differ by [`Model::TwoSided`].
-pub(crate) fn sided(scene: &Scene, id: MaterialId) -> bool {
-    match &scene.materials[id.0].model {
-        Model::TwoSided { .. } => true,
-        Model::Mask { nested, .. } | Model::BumpMap { nested, .. } | Model::NormalMap { nested, .. } => {
-            sided(scene, *nested)
-        }
-        Model::Blend { first, second, .. } => sided(scene, *first) || sided(scene, *second),
-        _ => false,
-    }
+/// Least ratio of a principled material that transmits, for the same reason; as in Mitsuba, its lobes bend light a little.
+const LEAST_BENDING: f32 = 1.001;
+
+/// Whether there is no interface between the two sides.
+fn is_matched(glass: &Dielectric) -> bool {
+    (glass.eta - 1.0).abs() < NO_INTERFACE
 }
 
 /// What makes the BSDF at `hit`, whose frame is bent on the way as materials want it.
@@ -95,6 +75,10 @@ pub(crate) struct Shader<'a, 'b> {
     pub(crate) frame: Frame,
     /// The frame's normal before it was bent.
     pub(crate) unbent: Option<Vec3>,
+    /// The frame was turned to the side that is seen.
+    pub(crate) turned: bool,
+    /// Mixtures by their material.
+    pub(crate) mixtures: &'a [Option<Mixture>],
 }
 
 impl<'a> Shader<'a, '_> {
@@ -120,6 +104,8 @@ impl<'a> Shader<'a, '_> {
                 let excess = (r + t).max_element().max(1.0);
                 bxdf::DiffuseSheet { reflectance: r / excess, transmittance: t / excess }.into()
             }
+            Model::Dielectric(d) if is_matched(d) => self.matched(d),
+            Model::RoughDielectric { dielectric, .. } if is_matched(dielectric) => self.matched(dielectric),
             Model::Dielectric(d) => {
                 let (eta, specular_reflectance, specular_transmittance) = self.glass(d);
                 bxdf::Dielectric { eta, specular_reflectance, specular_transmittance }.into()
@@ -160,9 +146,9 @@ impl<'a> Shader<'a, '_> {
             Model::Measured(model) => bxdf::Custom { model: &**model, uv: self.place.uv }.into(),
             Model::Subsurface(s) => self.skin(id, s),
             Model::TwoSided { front, back } => {
-                let behind = self.hit.wo.dot(self.frame.n) < 0.0;
-                if behind {
-                    self.frame.n = -self.frame.n;
+                let behind = self.turned || self.hit.wo.dot(self.frame.n) < 0.0;
+                if behind && !self.turned {
+                    (self.frame.n, self.turned) = (-self.frame.n, true);
                 }
                 self.bsdf(if behind { *back } else { *front })
             }
@@ -178,19 +164,27 @@ impl<'a> Shader<'a, '_> {
                 self.bend(self.mapped_normal(*normals, *scale, *axes, &self.frame));
                 self.bsdf(*nested)
             }
-            Model::Blend { weight, first, second } => {
-                let weight = self.number(*weight).clamp(0.0, 1.0);
-                match weight {
-                    0.0 => self.bsdf(*first),
-                    1.0 => self.bsdf(*second),
-                    _ => {
-                        let first = self.bsdf(*first);
-                        let second = self.clone().bsdf(*second);
-                        Box::new(bxdf::Blend { weight, first, second }).into()
-                    }
-                }
-            }
+            Model::Blend { .. } => match &self.mixtures[id.0] {
+                Some(mixture) => self.mixed(mixture),
+                None => Bsdf::new(bxdf::Model::Null), // refused when the world was made
+            },
         }
+    }
+
+    /// The parts that there are here, as a balanced tree of mixtures of two. The first bends the frame for all.
+    fn mixed(&mut self, mixture: &Mixture) -> Bsdf<'a> {
+        let mut parts = Vec::new();
+        let shares = mixture.shares(|weight| self.number(weight).clamp(0.0, 1.0));
+        for (material, share) in shares {
+            parts.push((share, if parts.is_empty() { self.bsdf(material) } else { self.clone().bsdf(material) }));
+        }
+        mix(parts).map_or_else(|| Bsdf::new(bxdf::Model::Null), |(_, bsdf)| bsdf)
+    }
+
+    /// What is left of an interface of equal indices: the colour that what passes takes.
+    fn matched(&self, d: &Dielectric) -> Bsdf<'a> {
+        let (_, specular_reflectance, specular_transmittance) = self.glass(d);
+        bxdf::ThinDielectric { eta: 1.0, specular_reflectance, specular_transmittance }.into()
     }
 
     /// The boundary of a translucent object, the same from both sides.
@@ -222,13 +216,15 @@ impl<'a> Shader<'a, '_> {
 
     fn principled(&self, p: &Principled) -> bxdf::Principled {
         let number = |id: TextureId| self.number(id).clamp(0.0, 1.0);
+        let bends = |eta: f32| if (eta - 1.0).abs() < LEAST_BENDING - 1.0 { LEAST_BENDING } else { eta };
+        let transmits = number(p.spec_trans) > 0.0;
         bxdf::Principled {
             base_color: self.unit(p.base_color),
             roughness: number(p.roughness),
             anisotropic: number(p.anisotropic),
             metallic: number(p.metallic),
             spec_trans: number(p.spec_trans),
-            eta: p.eta,
+            eta: if transmits { bends(p.eta) } else { p.eta },
             spec_tint: number(p.spec_tint),
             sheen: number(p.sheen),
             sheen_tint: number(p.sheen_tint),
@@ -331,6 +327,19 @@ impl<'a> Shader<'a, '_> {
             self.frame = Frame::from_normal_tangent(n, self.hit.dp_du);
         }
     }
+}
+
+/// These BSDFs in their shares as one, with their sum.
+fn mix(mut parts: Vec<(f32, Bsdf)>) -> Option<(f32, Bsdf)> {
+    if parts.len() < 2 {
+        return parts.pop();
+    }
+    let ((a, first), (b, second)) = {
+        let rest = parts.split_off(parts.len() / 2);
+        (mix(parts)?, mix(rest)?)
+    };
+    let weight = b / (a + b);
+    Some((a + b, Box::new(bxdf::Blend { weight, first, second }).into()))
 }
 
 /// The mean luminance of a texture, for choosing among lights.

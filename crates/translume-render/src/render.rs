@@ -1,13 +1,13 @@
 //! The driver: tiles in parallel, pass after pass, until there are enough samples, the time is up, or someone says stop.
 
 use crate::camera::Camera;
-use crate::film::{Aov, Film, Tile};
+use crate::film::{Aov, Features, Film, Tile};
 use crate::filter::FilterSampler;
 use crate::integrator::{self, Integrator, View, Work};
 use crate::splat::{Shared, Splats, Splatter};
 use crate::subpath::Density;
 use crate::tally::Tally;
-use crate::{PathSampler, Result, World};
+use crate::{PathSampler, Result, Rgb, World};
 use glam::Vec2;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -61,6 +61,15 @@ pub struct Progress {
 /// Shares of pixels that a tile keeps before it hands them on.
 const MOST_SHARES: usize = 1 << 16;
 
+/// One sample of each pixel of a tile. It counts as a whole or not at all, so that an interruption ends it anywhere.
+#[derive(Default)]
+struct Pass {
+    values: Vec<Rgb>,
+    features: Vec<Option<Features>>,
+    shares: Vec<(u32, Rgb)>,
+    broken: u64,
+}
+
 /// The longest that a pass may take before someone is told how it goes.
 const PASS: Duration = Duration::from_millis(700);
 
@@ -99,7 +108,7 @@ impl<'a> Shot<'a> {
     /// As [`Film::new`].
     pub fn film(&self, aovs: &[Aov]) -> Result<Film> {
         let film = Film::new(self.size(), aovs)?;
-        Ok(if self.integrator.splats() { film.with_splats() } else { film })
+        Ok(if self.integrator.splats() { film.with_splats(self.world.lights().typical()) } else { film })
     }
 
     /// Width and height of the picture.
@@ -107,7 +116,8 @@ impl<'a> Shot<'a> {
         self.window.1
     }
 
-    /// Adds samples to `film`, one of [`Shot::film`], until `until` is reached or `stop` is set; `tell` hears how it goes, about once a second.
+    /// Adds samples to `film`, one of [`Shot::film`], until `until` is reached or `stop` is set, which ends it wherever it is: what is
+    /// not a whole sample of a tile is dropped. `tell` hears how it goes, about once a second.
     pub fn render(
         &self,
         film: &mut Film,
@@ -121,7 +131,7 @@ impl<'a> Shot<'a> {
         let late = || deadline.is_some_and(|d| Instant::now() >= d);
         let (first, before) = (film.samples().0, film.mean_samples());
         let mut chunk = 1;
-        self.integrator.prepare(self.world, self.seed);
+        self.integrator.prepare(self.world, self.seed, stop);
         loop {
             let done = film.samples().0;
             let elapsed = start.elapsed();
@@ -151,10 +161,12 @@ impl<'a> Shot<'a> {
             let features = integrator::wants_features(film);
             let splats = film.splats.as_mut().map(Splats::shared);
             film.tiles.par_iter_mut().filter(|t| t.samples < goal).for_each(|tile| {
-                // A tile that has begun is finished, so that all its pixels have the same number of samples.
                 while tile.samples < goal && !stop.load(Ordering::Relaxed) && (tile.samples == 0 || !late()) {
                     let n = if deadline.is_some() { 1 } else { goal - tile.samples };
-                    rays.fetch_add(self.sample_tile(tile, &aovs, features, n, splats.as_ref()), Ordering::Relaxed);
+                    rays.fetch_add(
+                        self.sample_tile(tile, &aovs, features, n, splats.as_ref(), stop),
+                        Ordering::Relaxed,
+                    );
                 }
             });
             let took = began.elapsed().as_secs_f64().max(1e-6);
@@ -208,36 +220,72 @@ impl<'a> Shot<'a> {
         (sampler, ray, weight)
     }
 
-    /// Gives each pixel of the tile `n` more samples; returns the rays.
-    fn sample_tile(&self, tile: &mut Tile, aovs: &[Aov], features: bool, n: u64, splats: Option<&Shared>) -> u64 {
+    /// Gives each pixel of the tile `n` more samples, fewer if `stop` is set; returns the rays.
+    fn sample_tile(
+        &self,
+        tile: &mut Tile,
+        aovs: &[Aov],
+        features: bool,
+        n: u64,
+        splats: Option<&Shared>,
+        stop: &AtomicBool,
+    ) -> u64 {
         let (_, [w, h]) = self.window;
         let view = View { camera: &self.camera, margin: self.filter.margin(), pixels: w as f32 * h as f32 };
-        let splatter = Splatter { filter: &self.filter, window: self.window };
         let sampler = PathSampler::new(self.seed, 0, 0);
-        let mut work = Work { sampler, rays: 0, view, splats: Vec::new(), tally: Tally::default() };
-        let mut shares = Vec::new();
-        for i in 0..tile.sums.len() {
-            for sample in tile.samples..tile.samples + n {
-                let (sampler, ray, weight) = self.camera_path(tile, i, sample);
-                work.sampler = sampler;
-                if features && let Some(f) = integrator::features(self.world, &ray) {
-                    tile.add_features(aovs, i, &f);
-                }
-                tile.add(i, self.integrator.radiance(self.world, &ray, &mut work) * weight);
-                if let Some(splats) = splats {
-                    tile.broken += splatter.spread(&mut work.splats, &mut shares);
-                    if shares.len() >= MOST_SHARES {
-                        splats.add(&mut shares);
-                    }
-                }
+        let mut work = Work { sampler, rays: 0, view, splats: Vec::new(), tally: Tally::default(), stop };
+        let (mut pass, mut shares) = (Pass::default(), Vec::new());
+        for sample in tile.samples..tile.samples + n {
+            if !self.sample_pass(tile, features, sample, splats.is_some(), &mut work, &mut pass) {
+                break;
+            }
+            for (i, value) in pass.values.drain(..).enumerate() {
+                tile.add(i, value);
+            }
+            for (i, f) in pass.features.drain(..).enumerate().filter_map(|(i, f)| Some((i, f?))) {
+                tile.add_features(aovs, i, &f);
+            }
+            tile.broken += pass.broken;
+            tile.samples += 1;
+            shares.append(&mut pass.shares);
+            if let Some(splats) = splats.filter(|_| shares.len() >= MOST_SHARES) {
+                splats.add(&mut shares);
             }
         }
         if let Some(splats) = splats {
             splats.add(&mut shares);
         }
-        tile.samples += n;
         self.tally.lock().unwrap_or_else(PoisonError::into_inner).add_all(&work.tally);
         work.rays
+    }
+
+    /// Sample number `sample` of each pixel of `tile`; whether it is whole.
+    fn sample_pass(
+        &self,
+        tile: &Tile,
+        features: bool,
+        sample: u64,
+        splats: bool,
+        work: &mut Work,
+        pass: &mut Pass,
+    ) -> bool {
+        let splatter = Splatter { filter: &self.filter, window: self.window };
+        pass.broken = 0;
+        for i in 0..tile.sums.len() {
+            let (sampler, ray, weight) = self.camera_path(tile, i, sample);
+            work.sampler = sampler;
+            if features {
+                pass.features.push(integrator::features(self.world, &ray));
+            }
+            pass.values.push(self.integrator.radiance(self.world, &ray, work) * weight);
+            if splats {
+                pass.broken += splatter.spread(&mut work.splats, &mut pass.shares);
+            }
+            if work.stopped() {
+                return false;
+            }
+        }
+        true
     }
 }
 

@@ -17,7 +17,7 @@ pub struct Count {
 impl Count {
     /// Sum of the luminances of all contributions.
     pub fn sum(&self) -> f64 {
-        float(self.sum)
+        float(self.sum, 0)
     }
 }
 
@@ -39,7 +39,7 @@ impl Tally {
         let value = luminance(value);
         if value != 0.0 && value.is_finite() {
             count.contributed += 1;
-            count.sum = count.sum.saturating_add(fixed(value.into()));
+            count.sum = count.sum.saturating_add(fixed(value.into(), 0));
         }
     }
 

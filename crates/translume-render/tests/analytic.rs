@@ -15,7 +15,7 @@ use translume_render::{World, checkpoint, fingerprint};
 use translume_scene::emitter::Emitter;
 use translume_scene::material::{Dielectric, Model};
 use translume_scene::medium::{Grid, Medium, Samples, Volume};
-use translume_scene::texture::Filter;
+use translume_scene::texture::{Filter, Wrap};
 use translume_scene::{MediumId, Scene};
 
 #[test]
@@ -100,6 +100,7 @@ fn slab(sigma_a: f32, sigma_s: f32, g: f32, thickness: f64, eta: f32) -> Scene {
         albedo: Volume::Constant(Rgb::splat(sigma_s / (sigma_a + sigma_s))),
         scale: 1.0,
         phase: if g == 0.0 { Phase::Isotropic } else { Phase::HenyeyGreenstein { g } },
+        domain: None,
     });
     let one = m.gray(1.0);
     let boundary = if eta == 1.0 {
@@ -136,6 +137,7 @@ fn media_in_a_furnace() {
         ),
         samples: Samples::Centers,
         filter: Filter::Bilinear,
+        wrap: Wrap::Clamp,
     };
     for sigma_t in [Volume::Constant(Rgb::new(0.3, 2.0, 6.0)), grid] {
         let mut m = Maker::default();
@@ -145,6 +147,7 @@ fn media_in_a_furnace() {
             albedo: Volume::Constant(Rgb::ONE),
             scale: 1.0,
             phase: Phase::HenyeyGreenstein { g: 0.4 },
+            domain: None,
         });
         let null = m.material(Model::Null);
         m.sphere(DVec3::ZERO, 1.0, null).interior = Some(MediumId(0));

@@ -432,6 +432,7 @@ fn media_are_refused() {
         albedo: translume_scene::medium::Volume::Constant(Rgb::ONE),
         scale: 1.0,
         phase: translume_bxdf::Phase::Isotropic,
+        domain: None,
     });
     scene.shapes[0].interior = Some(translume_scene::MediumId(0));
     let world = World::new(Arc::new(scene)).unwrap();

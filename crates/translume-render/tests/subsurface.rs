@@ -151,6 +151,7 @@ fn the_dipole_is_near_the_random_walk_on_a_ball() {
             albedo: Volume::Constant(Rgb::splat(s / (s + a))),
             scale: 1.0,
             phase: Phase::Isotropic,
+            domain: None,
         });
         let one = walk.gray(1.0);
         let boundary = match eta > 1.0 {

@@ -54,7 +54,13 @@ pub(crate) struct Builder {
     measured: HashMap<PathBuf, Arc<dyn CustomBsdf>>,
     constants: HashMap<[u32; 3], TextureId>,
     default_material: HashMap<u32, MaterialId>,
+    scaled: HashMap<(TextureId, [u32; 3]), TextureId>,
+    /// How deep textures nest that hold others.
+    depths: HashMap<TextureId, u32>,
 }
+
+/// Textures do not nest deeper.
+const DEEPEST_TEXTURE: u32 = 200;
 
 impl Builder {
     pub(crate) fn new(path: &Path, options: &LoadOptions) -> Self {
@@ -68,6 +74,8 @@ impl Builder {
             measured: HashMap::new(),
             constants: HashMap::new(),
             default_material: HashMap::new(),
+            scaled: HashMap::new(),
+            depths: HashMap::new(),
         }
     }
 
@@ -91,8 +99,12 @@ impl Builder {
         TextureId(self.scene.textures.len() - 1)
     }
 
-    /// The texture `id` times `factor`.
+    /// The texture times a factor. Textures that refer to others in many ways are taken once for each factor.
     pub(crate) fn scaled(&mut self, id: TextureId, factor: Rgb) -> TextureId {
+        let key = (id, factor.to_array().map(f32::to_bits));
+        if let Some(&known) = self.scaled.get(&key) {
+            return known;
+        }
         let scaled = match self.scene.textures[id.0].clone() {
             _ if factor == Rgb::ONE => return id,
             Texture::Constant(rgb) => return self.constant(rgb * factor),
@@ -107,7 +119,21 @@ impl Builder {
                 ..b
             }),
         };
-        self.texture(scaled)
+        let scaled = self.texture(scaled);
+        self.scaled.insert(key, scaled);
+        scaled
+    }
+
+    /// Squares of textures; `None` where these nest too deep.
+    pub(crate) fn checkerboard(&mut self, board: Checkerboard) -> Option<TextureId> {
+        let depth = |id: TextureId| self.depths.get(&id).copied().unwrap_or(0);
+        let depth = 1 + depth(board.color0).max(depth(board.color1));
+        if depth > DEEPEST_TEXTURE {
+            return None;
+        }
+        let id = self.texture(Texture::Checkerboard(board));
+        self.depths.insert(id, depth);
+        Some(id)
     }
 
     /// Both textures multiplied.
@@ -214,6 +240,19 @@ impl Builder {
         }
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
         self.decoded_image(&bytes, path, raw)
+    }
+
+    /// A picture that shines: linear light, of which there is none below 0.
+    pub(crate) fn light_image(&mut self, path: &Path) -> Result<Arc<Picture>> {
+        let image = self.image(path, false)?;
+        let dark = image.pixels.as_raw().iter().filter(|v| **v < 0.0).count();
+        if dark == 0 {
+            return Ok(image);
+        }
+        self.warn(format!("{}: {dark} negative samples of a light count as 0", path.display()));
+        let mut picture = (*image).clone();
+        picture.pixels.iter_mut().for_each(|v| *v = v.max(0.0));
+        Ok(Arc::new(picture))
     }
 
     /// A picture from memory; `name` tells it from others and stands in messages.

@@ -24,6 +24,23 @@ pub(crate) fn film_size([width, height]: [u32; 2]) -> Result<(), String> {
     }
 }
 
+/// Lights in groups become shapes of their own where they stand: these are not more.
+const MOST_UNFOLDED: usize = 1 << 21;
+
+/// Refuses what [`repair`] would make too many shapes of.
+pub(crate) fn instances(scene: &Scene, path: &Path) -> crate::Result<()> {
+    let shines: Vec<bool> = scene.groups.iter().map(|g| g.shapes.iter().any(|s| s.radiance.is_some())).collect();
+    let standing = scene.instances.iter().filter(|i| shines[i.group.0]).map(|i| scene.groups[i.group.0].shapes.len());
+    match standing.fold(0, usize::saturating_add) {
+        n if n > MOST_UNFOLDED => {
+            let what =
+                format!("instances of groups with lights are {n} shapes; at most {MOST_UNFOLDED} are made of them");
+            Err(crate::Error::unsupported(path, None, what))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Lights without area shine no more; groups with lights become plain shapes; a scene without camera or light is told.
 pub(crate) fn repair(scene: &mut Scene, path: &Path) {
     unfold_shining_groups(scene);

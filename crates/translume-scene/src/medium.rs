@@ -9,7 +9,8 @@ use translume_bxdf::{Phase, Rgb};
 pub struct Medium {
     /// Name or identifier in the file; may be empty.
     pub name: String,
-    /// Extinction coefficient before [`Medium::scale`], per unit of length.
+    /// Extinction coefficient before [`Medium::scale`], per unit of length. A grid's medium is where the grid is: there is nothing
+    /// outside its box.
     pub sigma_t: Volume,
     /// Single scattering albedo, 0–1.
     pub albedo: Volume,
@@ -17,6 +18,8 @@ pub struct Medium {
     pub scale: f32,
     /// Where scattered light goes.
     pub phase: Phase,
+    /// From the unit cube to the world: there is nothing outside, whatever shape encloses the medium. `None`: it fills its shape.
+    pub domain: Option<DAffine3>,
 }
 
 /// A colour, or a number in all three channels, over space.
@@ -24,7 +27,7 @@ pub struct Medium {
 pub enum Volume {
     /// The same everywhere.
     Constant(Rgb),
-    /// Samples on a grid, interpolated between the eight nearest; zero outside its box.
+    /// Samples on a grid, interpolated between the eight nearest.
     Grid {
         /// The samples; shared by all volumes from one file.
         grid: Arc<Grid>,
@@ -34,6 +37,8 @@ pub enum Volume {
         samples: Samples,
         /// Interpolation.
         filter: crate::texture::Filter,
+        /// How it goes on outside of its box.
+        wrap: crate::texture::Wrap,
     },
 }
 

@@ -167,35 +167,33 @@ impl Scene {
         }
     }
 
-    /// About the mean of the texture over its picture; of vertex colours the factor on them, of a product that of the means.
+    /// About the mean of the texture over its picture; of vertex colours the factor on them, of a product that of the means. Takes as
+    /// long as there are textures in it, in however many ways these refer to each other.
     pub fn mean(&self, texture: TextureId) -> Rgb {
-        match &self.textures[texture.0] {
-            Texture::Constant(rgb) | Texture::VertexColor(rgb) => *rgb,
+        self.mean_by(texture, &mut std::collections::HashMap::new())
+    }
+
+    fn mean_by(&self, texture: TextureId, known: &mut std::collections::HashMap<TextureId, Rgb>) -> Rgb {
+        if let Some(mean) = known.get(&texture) {
+            return *mean;
+        }
+        let mean = match &self.textures[texture.0] {
+            Texture::Constant(rgb) | Texture::VertexColor(rgb) => return *rgb,
             Texture::VertexAlpha => Rgb::ONE,
-            Texture::Product(a, b) => self.mean(*a) * self.mean(*b),
-            Texture::Complement(of) => Rgb::ONE - self.mean(*of),
+            Texture::Product(a, b) => self.mean_by(*a, known) * self.mean_by(*b, known),
+            Texture::Complement(of) => Rgb::ONE - self.mean_by(*of, known),
             // Nothing is known but where it is the same everywhere.
             Texture::Threshold { of, at } => match self.constant(*of) {
                 Some(rgb) => Rgb::splat(if rgb.x >= *at { 1.0 } else { 0.0 }),
                 None => Rgb::splat(0.5),
             },
-            Texture::Checkerboard(board) => 0.5 * (self.mean(board.color0) + self.mean(board.color1)),
-            Texture::Bitmap(b) => {
-                let mean = |values: &mut dyn Iterator<Item = f32>| {
-                    let (sum, n) = values.fold((0.0, 0u64), |(sum, n), v| (sum + f64::from(v), n + 1));
-                    (sum / n.max(1) as f64) as f32
-                };
-                let of = |c: usize| mean(&mut b.image.pixels.as_raw().iter().skip(c).step_by(3).copied());
-                let value = match b.channel {
-                    Channel::Rgb => Rgb::new(of(0), of(1), of(2)),
-                    Channel::Red => Rgb::splat(of(0)),
-                    Channel::Green => Rgb::splat(of(1)),
-                    Channel::Blue => Rgb::splat(of(2)),
-                    Channel::Alpha => Rgb::splat(b.image.alpha.as_ref().map_or(1.0, |a| mean(&mut a.iter().copied()))),
-                };
-                value * b.scale
+            Texture::Checkerboard(board) => {
+                0.5 * (self.mean_by(board.color0, known) + self.mean_by(board.color1, known))
             }
-        }
+            Texture::Bitmap(b) => mean_of(b),
+        };
+        known.insert(texture, mean);
+        mean
     }
 
     /// Triangles as stored (shared meshes once), and as seen (each placement counted).
@@ -265,6 +263,23 @@ impl Scene {
         }
         bounds
     }
+}
+
+/// The mean of a picture's values.
+fn mean_of(b: &crate::texture::Bitmap) -> Rgb {
+    let mean = |values: &mut dyn Iterator<Item = f32>| {
+        let (sum, n) = values.fold((0.0, 0u64), |(sum, n), v| (sum + f64::from(v), n + 1));
+        (sum / n.max(1) as f64) as f32
+    };
+    let of = |c: usize| mean(&mut b.image.pixels.as_raw().iter().skip(c).step_by(3).copied());
+    let value = match b.channel {
+        Channel::Rgb => Rgb::new(of(0), of(1), of(2)),
+        Channel::Red => Rgb::splat(of(0)),
+        Channel::Green => Rgb::splat(of(1)),
+        Channel::Blue => Rgb::splat(of(2)),
+        Channel::Alpha => Rgb::splat(b.image.alpha.as_ref().map_or(1.0, |a| mean(&mut a.iter().copied()))),
+    };
+    value * b.scale
 }
 
 impl Geometry {

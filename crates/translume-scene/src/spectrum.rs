@@ -124,6 +124,8 @@ const RGB_FROM_XYZ: DMat3 = DMat3::from_cols(
 pub(crate) enum Quantity {
     /// A factor on light: reflectances, indices of refraction, coefficients.
     Factor,
+    /// A number: roughness, weights, opacity. Spectra are as for factors.
+    Number,
     /// Light.
     Light,
 }
@@ -148,7 +150,7 @@ fn unclipped(spectrum: impl Fn(f64) -> f64, quantity: Quantity) -> DVec3 {
     let (mut xyz, mut white) = (DVec3::ZERO, 0.0);
     for nm in 360..=830 {
         let [x, y, z, d65] = cie(f64::from(nm));
-        let light = if quantity == Quantity::Factor { d65 } else { 1.0 };
+        let light = if quantity == Quantity::Light { 1.0 } else { d65 };
         xyz += DVec3::new(x, y, z) * light * spectrum(f64::from(nm));
         white += y * light;
     }
@@ -187,7 +189,7 @@ fn linear(samples: &[(f64, f64)]) -> impl Fn(f64) -> f64 {
 /// Colour of the constant spectrum `value`.
 pub(crate) fn uniform(value: f64, quantity: Quantity) -> Rgb {
     match quantity {
-        Quantity::Factor => Rgb::splat(value as f32),
+        Quantity::Factor | Quantity::Number => Rgb::splat(value as f32),
         Quantity::Light => integrate(|_| value, quantity),
     }
 }

@@ -3,6 +3,7 @@
 mod bdpt;
 mod direct;
 pub mod gkernel;
+mod nearest;
 mod path;
 mod photonmap;
 mod volpath;
@@ -15,13 +16,14 @@ use crate::subpath::MOST_SEGMENTS;
 use crate::tally::Tally;
 use crate::{Error, PathSampler, Result, Rgb, World};
 use std::ops::RangeInclusive;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::sampler::Sampler;
 use translume_scene::{MediumId, Scene};
 use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
 pub use gkernel::GKernel;
+pub use nearest::{Likeness, Nearest, nearest};
 pub use path::Path;
 pub use photonmap::PhotonMapping;
 pub use volpath::Volpath;
@@ -98,6 +100,16 @@ pub struct Work<'a> {
     pub splats: Vec<Splat>,
     /// Counts, for methods that tell of their parts.
     pub tally: Tally,
+    /// Someone wants the render to end.
+    pub stop: &'a AtomicBool,
+}
+
+impl Work<'_> {
+    /// Whether long walks should end where they are: what a sample brings is thrown away then.
+    #[inline]
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
 }
 
 /// The picture that is taken.
@@ -119,7 +131,7 @@ pub trait Integrator: Send + Sync {
     }
 
     /// For methods that work on the whole picture at once, which have no [`Integrator::radiance`]: adds a sample to every
-    /// pixel, as far as neither `stop` nor `late` ends it (the first sample is finished in any case), and returns the rays.
+    /// pixel, as far as neither `stop` nor `late` ends it (which leaves the first sample alone), and returns the rays.
     fn pass(
         &self,
         _shot: &Shot,
@@ -143,11 +155,11 @@ pub trait Integrator: Send + Sync {
         Ok(())
     }
 
-    /// Called when a render begins, before the first sample: what is computed once for a picture.
-    fn prepare(&self, _world: &World, _seed: u64) {}
+    /// Called when a render begins, before the first sample: what is computed once for a picture. After `stop` no sample is asked for.
+    fn prepare(&self, _world: &World, _seed: u64, _stop: &AtomicBool) {}
 
     /// Called before the first of several views of one scene: what serves all of them may be kept.
-    fn prepare_views(&self, _shots: &[Shot]) {}
+    fn prepare_views(&self, _shots: &[Shot], _stop: &AtomicBool) {}
 
     /// Names of the parts that [`Work::tally`] counts: of the number `part`.
     fn part(&self, part: usize) -> String {

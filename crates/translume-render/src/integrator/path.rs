@@ -8,8 +8,8 @@
 
 use super::direct::{Direct, Origin};
 use super::{Integrator, Settings, Work};
-use crate::Rgb;
 use crate::world::{Entry, World};
+use crate::{Result, Rgb};
 use translume_bxdf::{Flags, Mode};
 use translume_core::sampler::Sampler;
 use translume_trace::Ray;
@@ -31,6 +31,14 @@ impl Path {
 const MOST_SEGMENTS: u32 = 10_000;
 
 impl Integrator for Path {
+    /// Any scene; says what is not seen of it.
+    fn check(&self, world: &World) -> Result<()> {
+        if world.has_media() || self.settings.camera_medium.is_some() {
+            log::warn!("`path` does not see the participating media of this scene; `volpath` does");
+        }
+        Ok(())
+    }
+
     fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb {
         let max_depth = self.settings.max_depth.unwrap_or(MOST_SEGMENTS);
         let (mut radiance, mut throughput, mut eta) = (Rgb::ZERO, Rgb::ONE, 1.0);

@@ -26,6 +26,7 @@ use crate::{Error, PathSampler, Result, Rgb};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_bxdf::{Flags, Mode};
 use translume_core::sampler::Sampler;
 use translume_trace::Ray;
@@ -82,12 +83,15 @@ impl PhotonMapping {
         })
     }
 
-    fn trace(&self, world: &World, seed: u64) -> Maps {
+    fn trace(&self, world: &World, seed: u64, stop: &AtomicBool) -> Maps {
         let limits =
             Limits { segments: self.settings.most_segments().saturating_sub(1), rr_depth: self.settings.rr_depth };
         let chunk = |number: u64| {
             let (mut vertices, mut photons) = (Vec::new(), [Vec::new(), Vec::new()]);
             for i in number * CHUNK..((number + 1) * CHUNK).min(self.paths) {
+                if stop.load(Ordering::Relaxed) {
+                    break;
+                }
                 let mut sampler = PathSampler::new(seed, u64::MAX, i);
                 vertices.clear();
                 subpath::light_path(world, world.lights().by_power(), limits, &mut sampler, &mut 0, &mut vertices);
@@ -146,8 +150,8 @@ impl Integrator for PhotonMapping {
         self.settings.without_media("photonmap", world)
     }
 
-    fn prepare(&self, world: &World, seed: u64) {
-        self.maps.get_or_init(|| self.trace(world, seed));
+    fn prepare(&self, world: &World, seed: u64, stop: &AtomicBool) {
+        self.maps.get_or_init(|| self.trace(world, seed, stop));
     }
 
     fn part(&self, part: usize) -> String {
@@ -165,7 +169,7 @@ impl Integrator for PhotonMapping {
     }
 
     fn radiance(&self, world: &World, ray: &Ray, work: &mut Work) -> Rgb {
-        let maps = self.maps.get_or_init(|| self.trace(world, 0));
+        let maps = self.maps.get_or_init(|| self.trace(world, 0, work.stop));
         let (mut radiance, mut throughput, mut eta, mut ray) = (Rgb::ZERO, Rgb::ONE, 1.0, *ray);
         let mut origin = Origin::camera(ray.o);
         // A diffuse surface was left to gather; the last direction with a density was drawn at one; since then there were only

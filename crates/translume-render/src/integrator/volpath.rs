@@ -306,6 +306,9 @@ impl Integrator for Volpath {
             specular: true,
         };
         for _ in 0..MOST_DEPTH {
+            if work.stopped() {
+                break;
+            }
             work.rays += 1;
             let hidden = walk.depth == 0 && self.settings.hide_emitters;
             let hit = if hidden { world.intersect_behind_lights(&walk.ray) } else { world.intersect(&walk.ray) };

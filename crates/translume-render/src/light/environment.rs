@@ -5,13 +5,16 @@
 //! the four nearest pixels; sampling draws such cells by their mean luminance times the sine of the polar angle, so that
 //! no place that shines is left out.
 
+use crate::Rgb;
 use crate::light::{End, LightSample};
-use crate::{Rgb, luminance};
-use glam::{DAffine3, Mat3, Vec2, Vec3};
+use glam::{DAffine3, DVec3, Mat3, Vec2, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::sync::Arc;
 use translume_core::distribution::Piecewise2d;
 use translume_image::Picture;
+
+/// Weights of [`crate::luminance`].
+const LUMINANCE: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 
 #[derive(Clone, Debug)]
 pub(crate) struct Environment {
@@ -31,11 +34,12 @@ impl Environment {
         if w < 2 || h < 2 {
             return None;
         }
-        let gray: Vec<f32> = image
+        // In double precision: the sun of a picture may be as bright as its numbers go.
+        let gray: Vec<f64> = image
             .pixels
             .as_raw()
             .chunks_exact(3)
-            .map(|p| luminance(Rgb::new(p[0], p[1], p[2]) * scale).max(0.0))
+            .map(|p| (Rgb::new(p[0], p[1], p[2]).as_dvec3() * scale.as_dvec3()).dot(LUMINANCE).max(0.0))
             .map(|l| if l.is_finite() { l } else { 0.0 })
             .collect();
         let (w, h) = (w as usize, h as usize);
@@ -46,11 +50,14 @@ impl Environment {
             for x in 0..w {
                 let next = (x + 1) % w;
                 let sum = gray[y * w + x] + gray[y * w + next] + gray[(y + 1) * w + x] + gray[(y + 1) * w + next];
-                weights.push(0.25 * sum * sin);
-                total += f64::from(0.25 * sum * sin);
+                weights.push(0.25 * sum * f64::from(sin));
+                total += 0.25 * sum * f64::from(sin);
                 sines += f64::from(sin);
             }
         }
+        let most = weights.iter().copied().fold(0.0, f64::max);
+        let unit = if most > 1e30 { 1e30 / most } else { 1.0 };
+        let weights: Vec<f32> = weights.iter().map(|w| (w * unit) as f32).collect();
         // Rotations and mirrors only: what scales or shears would bend directions otherwise.
         let light_from_world = world_from_light.matrix3.inverse();
         Some(Self {
@@ -59,7 +66,7 @@ impl Environment {
             scale,
             world_from_light: world_from_light.matrix3.as_mat3(),
             light_from_world: light_from_world.as_mat3(),
-            mean_luminance: (total / sines) as f32,
+            mean_luminance: (total / sines).min(f32::MAX.into()) as f32,
         })
     }
 
@@ -151,6 +158,17 @@ mod tests {
             Some(s.wi)
         };
         SphereTest::default().run("environment", sample, |w| e.eval_pdf(w).1, 1).unwrap();
+    }
+
+    /// One pixel may be as bright as numbers go, and the rest is seen all the same.
+    #[test]
+    fn the_brightest_pixel_does_not_put_the_light_out() {
+        let mut image = picture().pixels.clone();
+        image.get_pixel_mut(5, 3).0 = [3.3e38; 3];
+        let e = Environment::new(Arc::new(Picture::new(image)), Rgb::ONE, &DAffine3::IDENTITY).unwrap();
+        assert!(e.mean_luminance().is_finite() && e.mean_luminance() > 1e36);
+        let sample = e.sample(Vec2::splat(0.5)).unwrap();
+        assert!(sample.radiance.x > 1e30 && sample.pdf_w.is_finite() && sample.pdf_w > 0.0, "{sample:?}");
     }
 
     #[test]

@@ -29,6 +29,9 @@ use translume_trace::SurfacePoint;
 pub(crate) use tree::Place;
 use tree::{LightBounds, LightTree};
 
+/// Lights are not taken to be stronger when chances are computed.
+const MOST_POWER: f32 = 1e20;
+
 /// The other end of a connection to a light.
 #[derive(Clone, Copy, Debug)]
 pub enum End {
@@ -185,6 +188,8 @@ pub struct Lights {
     /// Numbers of the infinitely far ones.
     far: Vec<usize>,
     by_power: Starts,
+    /// See [`Lights::typical`].
+    typical: f64,
     /// The scene's bounding sphere.
     center: Vec3,
     radius: f32,
@@ -195,7 +200,7 @@ impl Lights {
     pub(crate) fn new(scene: &Scene, shapes: Vec<ShapeLight>, (center, radius): (Vec3, f32)) -> Self {
         let mut lights: Vec<Light> = shapes.into_iter().map(Light::Shape).collect();
         lights.extend(scene.emitters.iter().map(|e| compile(scene, e)));
-        let bounds: Vec<Option<LightBounds>> = lights
+        let mut bounds: Vec<Option<LightBounds>> = lights
             .iter()
             .map(|light| match light {
                 Light::Shape(s) => s.bounds(),
@@ -204,12 +209,33 @@ impl Lights {
             })
             .collect();
         let far = (0..lights.len()).filter(|&i| lights[i].is_far() && lights[i].far_power(radius) > 0.0).collect();
-        let powers: Vec<f32> = lights
-            .iter()
-            .zip(&bounds)
-            .map(|(light, bounds)| bounds.map_or_else(|| light.far_power(radius), |b| b.power).clamp(0.0, f32::MAX))
-            .collect();
-        Self { tree: LightTree::new(&bounds), far, by_power: Starts(AliasTable::new(&powers)), lights, center, radius }
+        let power = |light: &Light, bounds: &Option<LightBounds>| {
+            bounds.as_ref().map_or_else(|| light.far_power(radius), |b| b.power).clamp(0.0, f32::MAX)
+        };
+        let mut powers: Vec<f32> = lights.iter().zip(&bounds).map(|(light, bounds)| power(light, bounds)).collect();
+        let sum: f64 = powers.iter().map(|p| f64::from(*p)).sum();
+        let typical = sum / (4.0 * f64::from(PI * PI) * f64::from(radius) * f64::from(radius));
+        // Sums of powers, and what is made of them, must stay finite; their unit does not matter.
+        let most = powers.iter().copied().fold(0.0, f32::max);
+        if most > MOST_POWER {
+            let scaled = |p: f32| if p > 0.0 { (p * (MOST_POWER / most)).max(f32::MIN_POSITIVE) } else { 0.0 };
+            powers.iter_mut().for_each(|p| *p = scaled(*p));
+            bounds.iter_mut().flatten().for_each(|b| b.power = scaled(b.power.clamp(0.0, f32::MAX)));
+        }
+        Self {
+            tree: LightTree::new(&bounds),
+            far,
+            by_power: Starts(AliasTable::new(&powers)),
+            typical,
+            lights,
+            center,
+            radius,
+        }
+    }
+
+    /// The radiance that there would be if all light were spread evenly over the sphere around the scene.
+    pub fn typical(&self) -> f64 {
+        self.typical
     }
 
     /// Whether nothing shines.

@@ -3,10 +3,10 @@
 //! Shapes that stand once are baked into one geometry in world space. Large meshes that stand more than once, groups, and
 //! quadrics under transforms that are no similarities get geometries of their own.
 
-use super::translucent::{Translucent, subsurface_of};
+use super::translucent::Translucent;
 use super::{Form, Surface, World};
 use crate::light::{Faces, Lights, MeshLight, Quadric, ShapeForm, ShapeLight, bright_normal};
-use crate::material::{mean_luminance, passes, prepare, sided};
+use crate::material::{Mixture, Traits, mean_luminance, prepare, traits};
 use crate::medium::Tracked;
 use crate::texture;
 use crate::{Result, luminance};
@@ -40,6 +40,9 @@ struct Parts {
     translucent: HashMap<(u32, u32), Translucent>,
     /// Areas of those among them that shine.
     faces: HashMap<*const TriMesh, Option<Arc<Faces>>>,
+    /// Per material.
+    traits: Vec<Traits>,
+    mixtures: Vec<Option<Mixture>>,
 }
 
 pub(crate) fn world(scene: Arc<Scene>) -> Result<World> {
@@ -49,7 +52,8 @@ pub(crate) fn world(scene: Arc<Scene>) -> Result<World> {
             *uses.entry(Arc::as_ptr(mesh)).or_default() += 1;
         }
     }
-    let mut parts = Parts::default();
+    let (traits, mixtures) = traits(&scene);
+    let mut parts = Parts { traits, mixtures, ..Parts::default() };
     let (mut baked, mut placed) = (Vec::new(), Vec::new());
     for shape in &scene.shapes {
         let often =
@@ -68,7 +72,7 @@ pub(crate) fn world(scene: Arc<Scene>) -> Result<World> {
 }
 
 fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
-    let Parts { instances, bases, surfaces, lights, translucent, .. } = parts;
+    let Parts { instances, bases, surfaces, lights, translucent, mixtures, .. } = parts;
     let tracer = trace::Scene::new(instances)?;
     let bounds = tracer.bounds();
     let (center, radius) = match bounds.is_empty() {
@@ -80,6 +84,7 @@ fn finish(scene: Arc<Scene>, parts: Parts) -> Result<World> {
         has_null: surfaces.iter().any(|s| s.passes.0),
         media: scene.media.iter().map(Tracked::new).collect(),
         prepared: prepare(&scene),
+        mixtures,
         translucent,
         scene,
         tracer,
@@ -99,7 +104,7 @@ impl Parts {
         for (shape, form) in baked {
             let lights = sides(shape).map(|s| self.lights_of(scene, &s?, &form, &DAffine3::IDENTITY));
             shapes.push(form.shape.clone());
-            let surface = surface(scene, shape, form.form, lights)?;
+            let surface = surface(&self.traits, shape, form.form, lights)?;
             if let Some(material) = surface.subsurface {
                 let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
                 let here = Standing { instance: self.instances.len() as u32, world_from_geometry: DAffine3::IDENTITY };
@@ -134,7 +139,7 @@ impl Parts {
             _ => Arc::new(trace::Geometry::new(vec![own.shape])?),
         };
         self.begin();
-        let surface = Surface { one_light, ..surface(scene, shape, own.form, lights)? };
+        let surface = Surface { one_light, ..surface(&self.traits, shape, own.form, lights)? };
         if let Some(material) = surface.subsurface {
             let here = Standing { instance: self.instances.len() as u32, world_from_geometry: world };
             self.add_translucent(scene, material, geometry.clone(), &here, world)?;
@@ -146,9 +151,9 @@ impl Parts {
 
     /// Groups, each built once, in all their places.
     fn add_groups(&mut self, scene: &Scene) -> Result<()> {
-        for (number, group) in scene.groups.iter().enumerate() {
-            let places: Vec<DAffine3> =
-                scene.instances.iter().filter(|i| i.group.0 == number).map(|i| i.world_from_group).collect();
+        let mut by_group = vec![Vec::new(); scene.groups.len()];
+        scene.instances.iter().for_each(|i| by_group[i.group.0].push(i.world_from_group));
+        for (group, places) in scene.groups.iter().zip(by_group) {
             if places.is_empty() {
                 continue;
             }
@@ -164,7 +169,7 @@ impl Parts {
             let tracer_shapes: Vec<trace::Shape> = baked.iter().map(|(_, form)| form.shape.clone()).collect();
             let mut under = Vec::new();
             for (number, (shape, form)) in baked.into_iter().enumerate() {
-                let surface = surface(scene, shape, form.form, [None; 2])?;
+                let surface = surface(&self.traits, shape, form.form, [None; 2])?;
                 if let Some(material) = surface.subsurface {
                     let geometry = Arc::new(trace::Geometry::new(vec![form.shape])?);
                     under.push((base + number as u32, material, geometry, shape.world_from_object));
@@ -231,8 +236,9 @@ impl Parts {
         let first = self.lights.len() as u32;
         match &form.form {
             Form::Mesh(mesh) => {
+                let mean = mean_luminance(scene, radiance); // of a picture that may be large
                 for face in 0..mesh.indices.len() {
-                    self.lights.push(triangle_light(scene, shape, mesh, face, world));
+                    self.lights.push(triangle_light(scene, shape, mesh, (face, mean), world));
                 }
             }
             Form::Quadric(_) => {
@@ -274,7 +280,14 @@ fn unit_sphere_from_world(geometry: &Geometry, world_from_object: &DAffine3) -> 
     }
 }
 
-fn triangle_light(scene: &Scene, shape: &Shape, mesh: &Arc<TriMesh>, face: usize, world: &DAffine3) -> ShapeLight {
+/// The light that is triangle `face`; `mean` is the mean luminance of the shape's radiance.
+fn triangle_light(
+    scene: &Scene,
+    shape: &Shape,
+    mesh: &Arc<TriMesh>,
+    (face, mean): (usize, f32),
+    world: &DAffine3,
+) -> ShapeLight {
     let [p, b, c] = mesh.corners(face).map(|v| world.transform_point3(v.as_dvec3()).as_vec3());
     let (e1, e2) = (b - p, c - p);
     let n = bright_normal(mesh, face, world, shape.flip_normals);
@@ -282,13 +295,16 @@ fn triangle_light(scene: &Scene, shape: &Shape, mesh: &Arc<TriMesh>, face: usize
     let area = (0.5 * double.length()) as f32;
     let radiance = shape.radiance.expect("called for shapes that shine");
     let form = ShapeForm::Triangle { p, e1, e2, n, area, mesh: mesh.clone(), face: face as u32 };
-    let power =
-        if area > 0.0 && area.is_finite() { area * PI * triangle_luminance(scene, shape, mesh, face) } else { 0.0 };
+    let power = if area > 0.0 && area.is_finite() {
+        area * PI * triangle_luminance(scene, shape, mesh, (face, mean))
+    } else {
+        0.0
+    };
     ShapeLight { radiance, power, form }
 }
 
 /// The luminance of a triangle's radiance: a few of its points, and never zero while the texture is not.
-fn triangle_luminance(scene: &Scene, shape: &Shape, mesh: &TriMesh, face: usize) -> f32 {
+fn triangle_luminance(scene: &Scene, shape: &Shape, mesh: &TriMesh, (face, mean): (usize, f32)) -> f32 {
     let radiance = shape.radiance.expect("called for shapes that shine");
     if let Some(constant) = scene.constant(radiance) {
         return luminance(constant);
@@ -296,7 +312,7 @@ fn triangle_luminance(scene: &Scene, shape: &Shape, mesh: &TriMesh, face: usize)
     let points = [(1.0 / 3.0, 1.0 / 3.0), (0.1, 0.1), (0.8, 0.1), (0.1, 0.8), (0.45, 0.1), (0.1, 0.45), (0.45, 0.45)];
     let at = |(x, y)| crate::light::mesh_place(mesh, face as u32, Vec2::new(x, y));
     let sum: f32 = points.iter().map(|&b| luminance(texture::eval(scene, radiance, &at(b)))).sum();
-    sum / points.len() as f32 + 0.01 * mean_luminance(scene, radiance)
+    sum / points.len() as f32 + 0.01 * mean
 }
 
 /// A shape in the tracer's terms.
@@ -367,13 +383,14 @@ fn sides(shape: &Shape) -> [Option<Shape>; 2] {
     [Some(shape.clone()), behind.then(|| Shape { flip_normals: !shape.flip_normals, ..shape.clone() })]
 }
 
-fn surface(scene: &Scene, shape: &Shape, form: Form, lights: [Option<u32>; 2]) -> Result<Surface> {
+fn surface(traits: &[Traits], shape: &Shape, form: Form, lights: [Option<u32>; 2]) -> Result<Surface> {
+    let material = &traits[shape.material.0];
     Ok(Surface {
-        subsurface: subsurface_of(scene, shape.material)?,
+        subsurface: material.subsurface()?,
         form,
         material: shape.material,
-        passes: passes(scene, shape.material),
-        sided: sided(scene, shape.material),
+        passes: material.passes,
+        sided: material.sided,
         radiance: shape.radiance,
         first_light: lights[0],
         first_light_behind: lights[1],

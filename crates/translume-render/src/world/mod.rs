@@ -6,7 +6,7 @@ mod translucent;
 
 use crate::camera::CameraSample;
 use crate::light::{End, LightPoint, Lights, Seen, light_of};
-use crate::material::{Prepared, Shader};
+use crate::material::{Mixture, Prepared, Shader};
 use crate::medium::Tracked;
 use crate::texture;
 use crate::{Error, PathSampler, Result, Rgb};
@@ -35,6 +35,8 @@ pub struct World {
     /// Per instance of the tracer: where its geometry's surfaces begin.
     bases: Vec<u32>,
     prepared: Vec<Prepared>,
+    /// Per material, where it is a blend.
+    mixtures: Vec<Option<Mixture>>,
     lights: Lights,
     media: Vec<Tracked>,
     /// Translucent shapes, by instance of the tracer and surface.
@@ -168,7 +170,18 @@ impl World {
         let standing =
             (!self.tracer.is_in_place(hit.instance)).then(|| &self.tracer.instances()[hit.instance as usize]);
         let place = self.place(hit);
-        let mut shader = Shader { scene, prepared, hit, standing, under, place, frame: hit.frame, unbent: None };
+        let mut shader = Shader {
+            scene,
+            prepared,
+            mixtures: &self.mixtures,
+            hit,
+            standing,
+            under,
+            place,
+            frame: hit.frame,
+            unbent: None,
+            turned: false,
+        };
         let bsdf = shader.bsdf(surface.material);
         Shading { bsdf, frame: shader.frame, unbent: shader.unbent }
     }

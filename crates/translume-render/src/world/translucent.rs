@@ -25,8 +25,8 @@ use translume_core::frame::Frame;
 use translume_core::sampler::Sampler;
 use translume_core::warp;
 use translume_mesh::TriMesh;
+use translume_scene::MaterialId;
 use translume_scene::material::{Model, Subsurface};
-use translume_scene::{MaterialId, Scene};
 use translume_trace::{self as trace, Ray, SurfacePoint};
 
 /// A translucent shape in its place.
@@ -63,25 +63,6 @@ const AXES: [f32; 3] = [0.5, 0.25, 0.25];
 const UNIFORM: f32 = 0.125;
 /// Crossings of a line with the shape that are looked at.
 const MOST_CROSSINGS: usize = 256;
-
-/// The subsurface material that a material is, through adapters.
-///
-/// # Errors
-/// [`Error::Scene`] for mixtures with one: light that goes in at one place and out at another has no share of both.
-pub(super) fn subsurface_of(scene: &Scene, id: MaterialId) -> Result<Option<MaterialId>> {
-    match &scene.materials[id.0].model {
-        Model::Subsurface(_) => Ok(Some(id)),
-        Model::TwoSided { front: nested, .. }
-        | Model::Mask { nested, .. }
-        | Model::BumpMap { nested, .. }
-        | Model::NormalMap { nested, .. } => subsurface_of(scene, *nested),
-        Model::Blend { first, second, .. } => match subsurface_of(scene, *first)?.or(subsurface_of(scene, *second)?) {
-            Some(_) => Err(Error::Scene("a mixture with a subsurface material is not supported".into())),
-            None => Ok(None),
-        },
-        _ => Ok(None),
-    }
-}
 
 /// A candidate for x_i.
 struct Candidate {

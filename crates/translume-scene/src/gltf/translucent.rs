@@ -146,6 +146,7 @@ impl Loader {
             albedo: Volume::Constant(Rgb::ZERO),
             scale: 1.0,
             phase: Phase::Isotropic,
+            domain: None,
         });
         Some(MediumId(self.builder.scene.media.len() - 1))
     }

@@ -10,12 +10,15 @@ use std::rc::Rc;
 use translume_bxdf::{AIR, BK7, Distribution, POLYPROPYLENE, Rgb, ior_by_name, metal_by_name};
 
 const FACTOR: Quantity = Quantity::Factor;
+const NUMBER: Quantity = Quantity::Number;
 
 impl Loader {
     pub(super) fn bsdf(&mut self, object: &Rc<Object>) -> Result<MaterialId> {
         if let Some(&id) = self.materials.get(&Rc::as_ptr(object)) {
+            self.asked.extend(self.attributes_of.get(&id).into_iter().flatten().cloned());
             return Ok(id);
         }
+        let asked = std::mem::take(&mut self.asked);
         let made = self.guarded(object, |loader| {
             let model = loader.model(object)?;
             loader.finish(object)?;
@@ -32,6 +35,8 @@ impl Loader {
             }
         };
         self.materials.insert(Rc::as_ptr(object), id);
+        self.attributes_of.insert(id, self.asked.clone());
+        self.asked.extend(asked);
         Ok(id)
     }
 
@@ -74,7 +79,7 @@ impl Loader {
                 Model::TwoSided { front, back: back.unwrap_or(front) }
             }
             "mask" => {
-                Model::Mask { opacity: self.texture(object, "opacity", 0.5, FACTOR)?, nested: self.nested(object)? }
+                Model::Mask { opacity: self.texture(object, "opacity", 0.5, NUMBER)?, nested: self.nested(object)? }
             }
             "bumpmap" => Model::BumpMap {
                 height: self.nested_texture(object)?,
@@ -88,7 +93,7 @@ impl Loader {
                 nested: self.nested(object)?,
             },
             "blendbsdf" => Model::Blend {
-                weight: self.texture(object, "weight", 0.5, FACTOR)?,
+                weight: self.texture(object, "weight", 0.5, NUMBER)?,
                 first: self.nested(object)?,
                 second: self.nested(object)?,
             },
@@ -193,9 +198,9 @@ impl Loader {
 
     fn roughness(&mut self, object: &Object) -> Result<Roughness> {
         let distribution = self.distribution(object)?;
-        let along = self.given_texture(object, "alpha_u", FACTOR)?;
-        let across = self.given_texture(object, "alpha_v", FACTOR)?;
-        let both = self.texture(object, "alpha", 0.1, FACTOR)?;
+        let along = self.given_texture(object, "alpha_u", NUMBER)?;
+        let across = self.given_texture(object, "alpha_v", NUMBER)?;
+        let both = self.texture(object, "alpha", 0.1, NUMBER)?;
         Ok(Roughness { distribution, alpha_u: along.unwrap_or(both), alpha_v: across.unwrap_or(both) })
     }
 
@@ -222,8 +227,8 @@ impl Loader {
             Some(_) => return Err(object.place.invalid("\"eta\" of a principled BSDF is not below 1")),
             None => translume_bxdf::Principled::eta_from_specular(specular.unwrap_or(0.5).clamp(0.0, 1.0) as f32),
         };
-        let mut factor = |name: &str, default: f32| self.texture(object, name, default, FACTOR);
-        Ok(Model::Principled(Box::new(Principled {
+        let mut factor = |name: &str, default: f32| self.texture(object, name, default, NUMBER);
+        let mut made = Principled {
             roughness: factor("roughness", 0.5)?,
             anisotropic: factor("anisotropic", 0.0)?,
             metallic: factor("metallic", 0.0)?,
@@ -236,14 +241,23 @@ impl Loader {
             clearcoat: factor("clearcoat", 0.0)?,
             clearcoat_gloss: factor("clearcoat_gloss", 0.0)?,
             base_color: self.albedo(object, "base_color", 0.5)?,
-        })))
+        };
+        // Without a difference of indices there is no interface, and nobody asked for a colour of what passes: the default is that of
+        // a diffuse base, which there is none of either.
+        let is = |id, value: f32| self.builder.scene.constant(id) == Some(Rgb::splat(value));
+        let colored = object.properties.iter().any(|p| p.name == "base_color")
+            || object.children.iter().any(|c| c.name == "base_color");
+        if eta == 1.0 && !colored && is(made.spec_trans, 1.0) && is(made.metallic, 0.0) {
+            made.base_color = self.builder.constant(Rgb::ONE);
+        }
+        Ok(Model::Principled(Box::new(made)))
     }
 
     /// Its diffuse part is ours, without coat; what its specular part does to light is taken as smooth and colourless glass.
     fn principled_thin(&mut self, object: &Rc<Object>) -> Result<Model> {
         let base_color = self.albedo(object, "base_color", 0.5)?;
-        let diff_trans = self.texture(object, "diff_trans", 0.0, FACTOR)?;
-        let spec_trans = self.texture(object, "spec_trans", 0.0, FACTOR)?;
+        let diff_trans = self.texture(object, "diff_trans", 0.0, NUMBER)?;
+        let spec_trans = self.texture(object, "spec_trans", 0.0, NUMBER)?;
         let eta = object.number("eta")?.unwrap_or(1.5);
         if eta <= 1.0 {
             return Err(object.place.invalid("\"eta\" of a principledthin BSDF is not above 1"));
@@ -261,7 +275,7 @@ impl Loader {
         let clear = ["roughness", "anisotropic", "spec_tint"];
         let mut unread = Vec::new();
         for name in [&clear[..], &["sheen", "sheen_tint", "flatness"]].concat() {
-            let factor = self.texture(object, name, if name == "roughness" { 0.5 } else { 0.0 }, FACTOR)?;
+            let factor = self.texture(object, name, if name == "roughness" { 0.5 } else { 0.0 }, NUMBER)?;
             if self.builder.scene.constant(factor) != Some(Rgb::ZERO) && (is_clear || !clear.contains(&name)) {
                 unread.push(name);
             }

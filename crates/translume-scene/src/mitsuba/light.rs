@@ -34,8 +34,7 @@ impl Loader {
             "constant" => Emitter::Constant { radiance: self.color(object, "radiance", 1.0, LIGHT)? },
             "envmap" => {
                 let path = self.file(object, "filename")?;
-                let image =
-                    self.builder.image(&path, false).map_err(|e| e.at(&object.place.file, object.place.line))?;
+                let image = self.builder.light_image(&path).map_err(|e| e.at(&object.place.file, object.place.line))?;
                 Emitter::Environment {
                     image,
                     scale: translume_bxdf::Rgb::splat(object.number("scale")?.unwrap_or(1.0) as f32),
@@ -83,7 +82,8 @@ impl Loader {
             world_from_light: object.invertible("to_world")?,
             fov_x: self.perspective(object)?.fov_x(width, height),
             irradiance,
-            scale: object.number("scale")?.unwrap_or(1.0) as f32,
+            // Mitsuba's irradiance E shows as E/distance² on white, which an irradiance of π E does.
+            scale: std::f32::consts::PI * object.number("scale")?.unwrap_or(1.0) as f32,
         })
     }
 }

@@ -5,6 +5,7 @@
 //! boundaries before 2.0; grids of 0.6 have samples on the faces of their box; `uoffset` is added after `uscale`.
 //! Objects that nothing refers to are not looked at.
 
+mod attribute;
 mod bsdf;
 mod camera;
 mod light;
@@ -21,7 +22,7 @@ use crate::scene::{GroupId, LoadOptions, MaterialId, MediumId, Scene, TextureId}
 use crate::spectrum::Quantity;
 use crate::{Error, Result};
 use object::{Child, Object, Target};
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -42,6 +43,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let tree = tree::read(path, &text, &options.defines)?;
     let mut loader = Loader::new(path, options, &tree)?;
     loader.scene(&tree.root)?;
+    crate::check::instances(&loader.builder.scene, path)?;
     Ok(loader.builder.finish())
 }
 
@@ -61,6 +63,16 @@ struct Loader {
     /// Warnings about unknown properties given, by class, plugin and property.
     told: HashSet<(String, String, String)>,
     objects: Vec<Child>,
+    /// Shapes made so far.
+    stood: usize,
+    /// Area lights that a shape refers to.
+    worn: HashSet<*const Object>,
+    /// The attributes of meshes that textures and materials look at, and those of what is being made.
+    attributes: HashMap<TextureId, BTreeSet<String>>,
+    attributes_of: HashMap<MaterialId, BTreeSet<String>>,
+    asked: BTreeSet<String>,
+    /// Meshes with attributes, by those without.
+    colored: HashMap<(*const TriMesh, String), Option<Arc<TriMesh>>>,
     /// The rectangle and the cube.
     unit_meshes: [Option<Arc<TriMesh>>; 2],
 }
@@ -95,6 +107,12 @@ impl Loader {
             busy: Vec::new(),
             told: HashSet::new(),
             objects: Vec::new(),
+            stood: 0,
+            worn: HashSet::new(),
+            attributes: HashMap::new(),
+            attributes_of: HashMap::new(),
+            asked: BTreeSet::new(),
+            colored: HashMap::new(),
             unit_meshes: [None, None],
         })
     }
@@ -133,6 +151,13 @@ impl Loader {
             let made = self.stand(&object);
             self.skippable(made, || ())?;
         }
+        for child in &self.objects {
+            let Target::Object(object) = &child.target else { continue };
+            if is_area_light(object) && !self.worn.contains(&Rc::as_ptr(object)) {
+                let what = format!("{} does not shine: no shape refers to it", object.title());
+                self.builder.warn(object.place.warning(what));
+            }
+        }
         Ok(())
     }
 
@@ -143,6 +168,7 @@ impl Loader {
                 let shapes = self.shape(object)?;
                 self.builder.scene.shapes.extend(shapes);
             }
+            "emitter" if is_area_light(object) => {} // shines where a shape refers to it
             "emitter" => self.emitter(object)?,
             "sensor" => {
                 let sensor = self.sensor(object)?;
@@ -271,6 +297,11 @@ impl Loader {
         child.used.set(true);
         self.resolve(&child.target, &child.place).map(Some)
     }
+}
+
+/// A light that shapes wear, which stands by itself only to be referred to.
+fn is_area_light(object: &Object) -> bool {
+    object.class == "emitter" && object.plugin == "area" && !object.id.is_empty()
 }
 
 impl Object {

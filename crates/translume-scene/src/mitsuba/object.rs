@@ -273,9 +273,8 @@ fn spectrum(element: &Element, context: &Context) -> Result<Spectrum> {
     let place = &element.place;
     let pairs = if let Some(name) = element.get("filename") {
         let path = find(context.folders, name, place);
-        let text = read_text(&path)?;
-        let lines = text.lines().map(|l| l.split('#').next().unwrap_or_default().trim()).filter(|l| !l.is_empty());
-        lines.map(|l| numbers(l, place)).collect::<Result<Vec<_>>>()?
+        let text = read_text(&path).map_err(|e| e.at(&place.file, place.line))?;
+        spectrum_lines(&path, &text)?
     } else {
         let value = element.need("value")?;
         if !value.contains(':') {
@@ -288,6 +287,23 @@ fn spectrum(element: &Element, context: &Context) -> Result<Spectrum> {
         let parts = value.split([',', ' ', '\t', '\r', '\n']).filter(|t| !t.is_empty());
         parts.map(|pair| numbers(&pair.replace(':', " "), place)).collect::<Result<Vec<_>>>()?
     };
+    samples(&pairs, place)
+}
+
+/// The lines of a file of a spectrum. The file may be any that the scene names: messages say the line, not what is in it.
+fn spectrum_lines(path: &std::path::Path, text: &str) -> Result<Vec<Vec<f64>>> {
+    let lines = text.lines().map(|l| l.split('#').next().unwrap_or_default().trim()).enumerate();
+    let line = |(i, line): (usize, &str)| {
+        let place = Place { file: path.into(), line: i as u32 + 1 };
+        match numbers(line, &place) {
+            Ok(pair) if pair.len() == 2 => Ok(pair),
+            _ => Err(place.invalid("a wavelength and a number are wanted in each line of a spectrum")),
+        }
+    };
+    lines.filter(|(_, l)| !l.is_empty()).map(line).collect()
+}
+
+fn samples(pairs: &[Vec<f64>], place: &Place) -> Result<Spectrum> {
     let mut samples = Vec::with_capacity(pairs.len());
     for pair in pairs {
         let [nm, value] = pair[..] else {

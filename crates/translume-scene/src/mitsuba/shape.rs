@@ -11,10 +11,19 @@ use std::rc::Rc;
 use std::sync::Arc;
 use translume_mesh::TriMesh;
 
+/// Shapes of a scene, those in collections each time these are referred to.
+const MOST_SHAPES: usize = 1 << 22;
+
 impl Loader {
     /// The shapes that `object` stands for: one, none for groups and instances (which go to the scene's own lists), or
     /// all of a collection.
     pub(super) fn shape(&mut self, object: &Rc<Object>) -> Result<Vec<Shape>> {
+        self.stood += 1;
+        if self.stood > MOST_SHAPES {
+            let what =
+                format!("too many shapes: collections that refer to each other stand for more than {MOST_SHAPES}");
+            return Err(object.place.unsupported(what));
+        }
         match object.plugin.as_str() {
             "shapegroup" => {
                 // It appears where instances place it.
@@ -38,7 +47,12 @@ impl Loader {
     fn members(&mut self, object: &Rc<Object>) -> Result<Vec<Shape>> {
         self.guarded(object, |loader| {
             let mut shapes = Vec::new();
-            while let Some(member) = loader.child_of_class(object, "shape")? {
+            for child in object.children.iter().filter(|c| !c.used.get()) {
+                let member = loader.resolve(&child.target, &child.place)?;
+                if member.class != "shape" {
+                    continue;
+                }
+                child.used.set(true);
                 if matches!(member.plugin.as_str(), "shapegroup" | "instance") {
                     return Err(member.place.unsupported(format!("{} inside a group", member.title())));
                 }
@@ -114,10 +128,12 @@ impl Loader {
         world_from_object: DAffine3,
         flip_normals: bool,
     ) -> Result<Shape> {
+        self.asked.clear();
         let interior = self.medium_named(object, "interior")?;
         let exterior = self.medium_named(object, "exterior")?;
         let radiance = match self.child_of_class(object, "emitter")? {
             Some(emitter) if emitter.plugin == "area" => {
+                self.worn.insert(Rc::as_ptr(&emitter));
                 let radiance = self.texture(&emitter, "radiance", 1.0, Quantity::Light)?;
                 self.finish(&emitter)?;
                 Some(radiance)
@@ -145,6 +161,7 @@ impl Loader {
             }
             None => self.builder.gray(0.5),
         };
+        let geometry = self.with_attributes(object, geometry)?;
         let name = object.id.clone();
         Ok(Shape {
             name,
@@ -157,6 +174,39 @@ impl Loader {
             interior,
             exterior,
         })
+    }
+
+    /// The geometry with the attribute that its material and light look at.
+    fn with_attributes(&mut self, object: &Rc<Object>, geometry: Geometry) -> Result<Geometry> {
+        let mut asked = std::mem::take(&mut self.asked).into_iter();
+        let Some(name) = asked.next() else { return Ok(geometry) };
+        if asked.next().is_some() {
+            return Err(object
+                .place
+                .unsupported(format!("{} has more than one mesh attribute in use", object.title())));
+        }
+        let colored = match &geometry {
+            Geometry::Mesh(mesh) if name == "vertex_color" && mesh.colors.is_some() => return Ok(geometry),
+            Geometry::Mesh(mesh) if object.plugin == "ply" => {
+                let key = (Arc::as_ptr(mesh), name.clone());
+                match self.colored.get(&key) {
+                    Some(known) => known.clone(),
+                    None => {
+                        let made = super::attribute::colored(mesh, &self.file(object, "filename")?, &name);
+                        self.colored.insert(key, made.clone());
+                        made
+                    }
+                }
+            }
+            _ => None,
+        };
+        if let Some(mesh) = colored {
+            return Ok(Geometry::Mesh(mesh));
+        }
+        let what =
+            format!("{} has no attribute {name:?}, which its material or light wants: it is white", object.title());
+        self.builder.warn(object.place.warning(what));
+        Ok(geometry)
     }
 
     fn medium_named(&mut self, object: &Object, name: &str) -> Result<Option<MediumId>> {

@@ -72,8 +72,10 @@ impl Loader {
     pub(super) fn texture_object(&mut self, object: &Rc<Object>, quantity: Quantity) -> Result<TextureId> {
         let key = (Rc::as_ptr(object), quantity);
         if let Some(&id) = self.textures.get(&key) {
+            self.asked.extend(self.attributes.get(&id).into_iter().flatten().cloned());
             return Ok(id);
         }
+        let asked = std::mem::take(&mut self.asked);
         let made = self.guarded(object, |loader| loader.make_texture(object, quantity));
         let made = match made {
             Err(e) if self.builder.options.lenient => {
@@ -83,23 +85,42 @@ impl Loader {
             made => made?,
         };
         self.textures.insert(key, made);
+        if !self.asked.is_empty() {
+            self.attributes.insert(made, self.asked.clone());
+        }
+        self.asked.extend(asked);
         Ok(made)
     }
 
     fn make_texture(&mut self, object: &Rc<Object>, quantity: Quantity) -> Result<TextureId> {
         let texture = match object.plugin.as_str() {
             "bitmap" => Texture::Bitmap(self.bitmap(object)?),
-            "checkerboard" => Texture::Checkerboard(Checkerboard {
-                color0: self.texture(object, "color0", 0.4, quantity)?,
-                color1: self.texture(object, "color1", 0.2, quantity)?,
-                board_from_uv: image_from_uv(object)?,
-            }),
-            "scale" => self.scaled(object, quantity)?,
+            "checkerboard" => {
+                let colors =
+                    [self.texture(object, "color0", 0.4, quantity)?, self.texture(object, "color1", 0.2, quantity)?];
+                // Where Mitsuba 2 and 3 read a number off the board, they take the squares of the other colour.
+                let [color0, color1] = match quantity == Quantity::Number && !self.is_old() {
+                    true => [colors[1], colors[0]],
+                    false => colors,
+                };
+                Texture::Checkerboard(Checkerboard { color0, color1, board_from_uv: image_from_uv(object)? })
+            }
+            "scale" => {
+                let id = self.scaled(object, quantity)?;
+                self.finish(object)?;
+                return Ok(id);
+            }
             "mesh_attribute" => match object.text("name")? {
-                Some("vertex_color") => Texture::VertexColor(Rgb::splat(object.number("scale")?.unwrap_or(1.0) as f32)),
-                _ => return Err(object.place.unsupported("mesh attributes other than \"vertex_color\" are not read")),
+                Some(name) if name.starts_with("vertex_") || name.starts_with("face_") => {
+                    self.asked.insert(name.to_owned());
+                    Texture::VertexColor(Rgb::splat(object.number("scale")?.unwrap_or(1.0) as f32))
+                }
+                _ => return Err(object.place.invalid("the name of a mesh attribute begins with vertex_ or face_")),
             },
-            "vertexcolors" => Texture::VertexColor(Rgb::ONE),
+            "vertexcolors" => {
+                self.asked.insert("vertex_color".to_owned());
+                Texture::VertexColor(Rgb::ONE)
+            }
             "uniform" => Texture::Constant(self.spectrum_value(object, "value", 1.0, quantity)?),
             "srgb" | "rgb" => Texture::Constant(self.color(object, "color", 0.5, quantity)?),
             "d65" => Texture::Constant(Rgb::splat(object.number("scale")?.unwrap_or(1.0) as f32)),
@@ -162,31 +183,13 @@ impl Loader {
     }
 
     /// Mitsuba 0.6's factor on a texture.
-    fn scaled(&mut self, object: &Rc<Object>, quantity: Quantity) -> Result<Texture> {
+    fn scaled(&mut self, object: &Rc<Object>, quantity: Quantity) -> Result<TextureId> {
         let factor = self.color(object, "scale", 1.0, Quantity::Factor)?;
         let inner = match self.child_of_class(object, "texture")? {
             Some(child) => self.texture_object(&child, quantity)?,
             None => self.texture(object, "value", 1.0, quantity)?,
         };
-        Ok(match self.builder.scene.textures[inner.0].clone() {
-            Texture::VertexAlpha | Texture::Product(..) | Texture::Complement(_) | Texture::Threshold { .. } => {
-                Texture::Product(inner, self.builder.constant(factor))
-            }
-            Texture::Constant(rgb) => Texture::Constant(rgb * factor),
-            Texture::Bitmap(bitmap) => Texture::Bitmap(Bitmap { scale: bitmap.scale * factor, ..bitmap }),
-            Texture::VertexColor(rgb) => Texture::VertexColor(rgb * factor),
-            Texture::Checkerboard(board) => {
-                let mut scaled = |id| match self.builder.scene.constant(id) {
-                    Some(rgb) => Ok(self.builder.constant(rgb * factor)),
-                    None => Err(object.unsupported()),
-                };
-                Texture::Checkerboard(Checkerboard {
-                    color0: scaled(board.color0)?,
-                    color1: scaled(board.color1)?,
-                    ..board
-                })
-            }
-        })
+        Ok(self.builder.scaled(inner, factor))
     }
 }
 

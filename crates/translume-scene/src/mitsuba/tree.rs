@@ -1,7 +1,8 @@
 //! From XML text to a tree of elements: `<include>`, `<default>`, `$name` and `<path>` are resolved here.
 //!
-//! Document type declarations are refused, so entities cannot multiply; includes are refused when they go in circles or
-//! when the whole grows beyond [`MOST_ELEMENTS`].
+//! Document type declarations are refused, so entities cannot multiply; values of parameters are refused when they grow beyond
+//! [`LONGEST_VALUE`], includes when they go in circles, are more than [`MOST_INCLUDES`] or when the whole grows beyond
+//! [`MOST_ELEMENTS`]. Messages name places in included files, but do not quote them: a scene may name any file.
 
 use crate::{Error, Result};
 use std::cell::Cell;
@@ -10,6 +11,13 @@ use std::rc::Rc;
 
 /// A whole scene has no more elements than this.
 const MOST_ELEMENTS: usize = 4_000_000;
+/// A value is not longer with the values of its parameters put in, and what is put in is not longer in all.
+const LONGEST_VALUE: usize = 1 << 20;
+const MOST_PUT_IN: usize = 1 << 27;
+/// Parameters of a scene, and files that it includes, with the bytes of these.
+const MOST_PARAMETERS: usize = 10_000;
+const MOST_INCLUDES: usize = 10_000;
+const MOST_INCLUDED: usize = 1 << 28;
 /// Includes and elements do not nest deeper.
 const DEEPEST_INCLUDE: usize = 32;
 const DEEPEST_ELEMENT: usize = 200;
@@ -81,6 +89,8 @@ pub(crate) fn read(path: &Path, text: &str, defines: &[(String, String)]) -> Res
         folders: vec![folder],
         open: vec![path.canonicalize().unwrap_or_else(|_| path.to_owned())],
         elements: 0,
+        put_in: 0,
+        included: (0, 0),
         warnings: Vec::new(),
     };
     let root = reader.file(path, text)?;
@@ -101,6 +111,10 @@ struct Reader {
     /// Files being read, outermost first.
     open: Vec<PathBuf>,
     elements: usize,
+    /// Bytes that stand for parameters.
+    put_in: usize,
+    /// Files that were included, and their bytes.
+    included: (usize, usize),
     warnings: Vec<String>,
 }
 
@@ -158,8 +172,10 @@ impl Reader {
             if child.is_element() {
                 self.element(&child, file, lines, &mut element.children)?;
             } else if let Some(text) = child.text().map(str::trim).filter(|t| child.is_text() && !t.is_empty()) {
+                // The user's own file is quoted, others are not.
                 let start: String = text.chars().take(40).collect();
-                return Err(element.place.invalid(format!("<{}> holds text ({start:?})", element.tag)));
+                let quote = if self.open.len() == 1 { format!(" ({start:?})") } else { String::new() };
+                return Err(element.place.invalid(format!("<{}> holds text{quote}", element.tag)));
             }
         }
         out.push(element);
@@ -170,6 +186,9 @@ impl Reader {
         let (name, value) = (element.need("name")?, element.need("value")?);
         match self.parameters.iter().find(|p| p.0 == name) {
             Some((_, _, used)) => used.set(true),
+            None if self.parameters.len() >= MOST_PARAMETERS => {
+                return Err(element.place.unsupported(format!("the scene has more than {MOST_PARAMETERS} parameters")));
+            }
             None => self.parameters.push((name.to_owned(), value.to_owned(), Cell::new(true))),
         }
         Ok(())
@@ -200,6 +219,12 @@ impl Reader {
             Error::Io { source, .. } => place.invalid(format!("cannot include {}: {source}", path.display())),
             e => e,
         })?;
+        self.included = (self.included.0 + 1, self.included.1.saturating_add(text.len()));
+        if self.included.0 > MOST_INCLUDES || self.included.1 > MOST_INCLUDED {
+            let what =
+                format!("too many includes: more than {MOST_INCLUDES} files or {} MiB in all", MOST_INCLUDED >> 20);
+            return Err(place.unsupported(what));
+        }
         self.open.push(name);
         let root = self.file(&path, &text)?;
         self.open.pop();
@@ -211,7 +236,7 @@ impl Reader {
     }
 
     /// `text` with parameters for their names.
-    fn substitute(&self, text: &str, place: &Place) -> Result<String> {
+    fn substitute(&mut self, text: &str, place: &Place) -> Result<String> {
         let mut result = String::new();
         let mut rest = text;
         while let Some((before, after)) = rest.split_once('$') {
@@ -224,6 +249,15 @@ impl Reader {
                 return Err(place.invalid(what));
             };
             used.set(true);
+            self.put_in += value.len();
+            if result.len() + value.len() > LONGEST_VALUE || self.put_in > MOST_PUT_IN {
+                let what = format!(
+                    "too long a value: with ${name} put in it has more than {} KiB, or all such values more than {} MiB",
+                    LONGEST_VALUE >> 10,
+                    MOST_PUT_IN >> 20
+                );
+                return Err(place.unsupported(what));
+            }
             result.push_str(value);
             rest = &after[name.len()..];
         }

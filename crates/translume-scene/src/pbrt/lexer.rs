@@ -42,11 +42,26 @@ pub(super) struct Lexer {
     at: usize,
     pub(super) place: Place,
     ahead: Option<Token>,
+    /// Messages quote the file: not one that a scene includes, which may be any.
+    pub(super) quotes: bool,
 }
 
 impl Lexer {
-    pub(super) fn new(path: &Path, text: String) -> Self {
-        Self { text: text.into_bytes(), at: 0, place: Place { file: path.into(), line: 1 }, ahead: None }
+    pub(super) fn new(path: &Path, text: String, quotes: bool) -> Self {
+        Self { text: text.into_bytes(), at: 0, place: Place { file: path.into(), line: 1 }, ahead: None, quotes }
+    }
+
+    /// What stands there instead of what is wanted.
+    fn found(&self, token: Option<Token>) -> String {
+        match token {
+            None => "; the file ends".to_owned(),
+            Some(_) if !self.quotes => String::new(),
+            Some(Token::Word(w)) => format!("; there is {w}"),
+            Some(Token::Text(t)) => format!("; there is {t:?}"),
+            Some(Token::Number(n)) => format!("; there is {n}"),
+            Some(Token::Open) => "; there is [".to_owned(),
+            Some(Token::Close) => "; there is ]".to_owned(),
+        }
     }
 
     pub(super) fn peek(&mut self) -> Result<Option<&Token>> {
@@ -67,7 +82,7 @@ impl Lexer {
     pub(super) fn text(&mut self, what: &str) -> Result<String> {
         match self.next()? {
             Some(Token::Text(text)) => Ok(text),
-            other => Err(self.place.invalid(format!("{what} in quotes is missing{}", found(other)))),
+            other => Err(self.place.invalid(format!("{what} in quotes is missing{}", self.found(other)))),
         }
     }
 
@@ -81,7 +96,7 @@ impl Lexer {
         for value in &mut values {
             match self.next()? {
                 Some(Token::Number(v)) => *value = v,
-                other => return Err(self.place.invalid(format!("{what} wants {N} numbers{}", found(other)))),
+                other => return Err(self.place.invalid(format!("{what} wants {N} numbers{}", self.found(other)))),
             }
         }
         if bracket && self.next()? != Some(Token::Close) {
@@ -122,24 +137,16 @@ impl Lexer {
                 match word.parse::<f64>() {
                     // Words such as "inf" and "nan" are numbers for Rust.
                     Ok(v) if v.abs() <= f64::from(f32::MAX) => (Token::Number(v), length),
-                    Ok(_) => return Err(self.place.invalid(format!("{word} is no finite number"))),
+                    Ok(_) => {
+                        let quote = if self.quotes { &word } else { "this" };
+                        return Err(self.place.invalid(format!("{quote} is no finite number")));
+                    }
                     Err(_) => (Token::Word(word), length),
                 }
             }
         };
         self.at += length;
         Ok(Some(token))
-    }
-}
-
-fn found(token: Option<Token>) -> String {
-    match token {
-        None => "; the file ends".to_owned(),
-        Some(Token::Word(w)) => format!("; there is {w}"),
-        Some(Token::Text(t)) => format!("; there is {t:?}"),
-        Some(Token::Number(n)) => format!("; there is {n}"),
-        Some(Token::Open) => "; there is [".to_owned(),
-        Some(Token::Close) => "; there is ]".to_owned(),
     }
 }
 
@@ -168,7 +175,8 @@ pub(super) fn parameters(lexer: &mut Lexer) -> Result<Vec<Parameter>> {
         let declaration = lexer.text("a parameter")?;
         let place = lexer.place.clone();
         let Some((kind, name)) = declaration.split_once(char::is_whitespace) else {
-            return Err(place.invalid(format!("parameter {declaration:?} has no type before its name")));
+            let quote = if lexer.quotes { format!("{declaration:?} ") } else { String::new() };
+            return Err(place.invalid(format!("parameter {quote}has no type before its name")));
         };
         let (kind, name) = (kind.to_owned(), name.trim().to_owned());
         let values = values(lexer, &name)?;
@@ -190,7 +198,8 @@ fn values(lexer: &mut Lexer, name: &str) -> Result<Values> {
             Some(Token::Text(t)) => texts.push(t),
             Some(Token::Word(w)) if w == "true" || w == "false" => bools.push(w == "true"),
             other => {
-                return Err(lexer.place.invalid(format!("parameter {name:?} has a wrong value{}", found(other))));
+                let found = lexer.found(other);
+                return Err(lexer.place.invalid(format!("parameter {name:?} has a wrong value{found}")));
             }
         }
         if !bracket {

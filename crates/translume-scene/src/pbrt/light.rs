@@ -82,6 +82,9 @@ impl Loader {
         if !(scale >= 0.0 && scale.is_finite() && g.abs() < 1.0) {
             return Err(p.place.invalid(format!("medium {name:?}: scale ≥ 0 and −1 < g < 1")));
         }
+        if !(sigma_t * scale).is_finite() {
+            return Err(p.place.invalid(format!("the extinction of medium {name:?} times its scale is too large")));
+        }
         let phase = if g == 0.0 { Phase::Isotropic } else { Phase::HenyeyGreenstein { g } };
         self.finish(kind, p);
         self.media.insert(name.to_owned(), MediumId(self.builder.scene.media.len()));
@@ -91,6 +94,7 @@ impl Loader {
             albedo: Volume::Constant(albedo),
             scale,
             phase,
+            domain: None,
         });
         Ok(())
     }

@@ -283,7 +283,7 @@ impl Loader {
                     color1: self.given(p, "tex2", 0.0)?,
                     board_from_uv: DAffine2::from_scale(DVec2::splat(0.5)) * self.mapping(p)?,
                 };
-                Ok(self.builder.texture(Texture::Checkerboard(board)))
+                self.builder.checkerboard(board).ok_or_else(|| p.place.unsupported("textures nest too deep"))
             }
             _ => Err(p.place.unsupported(format!("texture {class:?} is not supported"))),
         }

@@ -27,6 +27,7 @@ use translume_mesh::TriMesh;
 /// Attributes, transforms and includes do not nest deeper; included files are not opened more often in all.
 const DEEPEST: usize = 1000;
 const MOST_FILES: usize = 10_000;
+const MOST_INCLUDED: usize = 1 << 28;
 const DEEPEST_INCLUDE: usize = 32;
 
 /// Reads a scene file.
@@ -39,6 +40,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     loader.open(path, None)?;
     loader.run()?;
     loader.film_and_camera()?;
+    check::instances(&loader.builder.scene, path)?;
     Ok(loader.builder.finish())
 }
 
@@ -59,6 +61,8 @@ struct Loader {
     /// Files being read, the innermost last, with their real names.
     files: Vec<(Lexer, PathBuf)>,
     opened: usize,
+    /// Bytes of them.
+    read: usize,
     state: State,
     saved: Vec<State>,
     systems: HashMap<String, DAffine3>,
@@ -80,6 +84,7 @@ impl Loader {
             folder: path.parent().unwrap_or(Path::new("")).to_owned(),
             files: Vec::new(),
             opened: 0,
+            read: 0,
             state: State {
                 world_from_object: DAffine3::IDENTITY,
                 material: None,
@@ -116,7 +121,15 @@ impl Loader {
             Some(place) => e.at(&place.file, place.line),
             None => e,
         })?;
-        self.files.push((Lexer::new(path, text), name));
+        self.read += text.len();
+        if from.is_some() && self.read > MOST_INCLUDED {
+            return Err(Error::unsupported(
+                path,
+                None,
+                format!("included files hold more than {} MiB", MOST_INCLUDED >> 20),
+            ));
+        }
+        self.files.push((Lexer::new(path, text, from.is_none()), name));
         Ok(())
     }
 
@@ -213,7 +226,8 @@ impl Loader {
             "Shape",
         ];
         if !KNOWN.contains(&name) {
-            return Err(place.unsupported(format!("{name} is not a directive that is known")));
+            let quote = if self.lexer()?.quotes { name } else { "this" };
+            return Err(place.unsupported(format!("{quote} is not a directive that is known")));
         }
         let lexer = self.lexer()?;
         if name == "Option" {

@@ -15,10 +15,9 @@ use translume_image::colour::linear_to_srgb;
 use translume_image::{ExrOptions, Precision, atomic, write_exr_channels, write_jpeg, write_png8};
 use translume_render::checkpoint::{self, Identity};
 use translume_render::film::{Aov, Film};
-use translume_render::integrator::{self, INTEGRATORS, Integrator, Settings};
+use translume_render::integrator::{self, INTEGRATORS, Integrator, Likeness, Settings};
 use translume_render::render::{Progress, Shot, Until};
 use translume_render::{World, fingerprint};
-use translume_scene::Scene;
 use translume_scene::sensor::Sensor;
 
 const EXAMPLES: &str = "\
@@ -65,7 +64,7 @@ pub(crate) struct Args {
     /// The picture, .exr
     #[arg(short, long, value_name = "OUT.exr")]
     output: PathBuf,
-    /// The method [default: the scene's, or path; volpath where there are media]
+    /// The method [default: the scene's, or the nearest to it; path where it names none, volpath where it has media]
     #[arg(long, value_name = "NAME", value_parser = integrator_names())]
     integrator: Option<String>,
     #[arg(short = 'O', long = "option", value_name = "NAME=VALUE", value_parser = parse_define, help = "An option of the method",
@@ -177,7 +176,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let (stored, placed) = scene.triangles();
     ctx.detail(format!("{placed} triangles ({stored} stored), {} lights", world.lights().len()));
     let sensor = scene.sensors.first().ok_or_else(|| anyhow!("{}: no camera (<sensor>)", args.scene.display()))?;
-    let (name, settings) = method(&args, &scene, ctx);
+    let (name, settings) = method(&args, &world, ctx);
     let method_options = with_flags(&args, &name)?;
     let integrator =
         integrator::with_options(&name, settings, &method_options).map_err(|e| Usage(format!("--option: {e}")))?;
@@ -199,10 +198,10 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     // Other methods and random numbers give the same picture in the limit; what else differs does not.
     let views = args.camera_path.as_ref().and_then(|p| std::fs::read_to_string(p).ok());
     let pictured = format!("{:?}", (settings.max_depth, settings.hide_emitters, args.size, views));
-    if shots.len() > 1 {
-        integrator.prepare_views(&shots);
-    }
     let stop = signals::stop_flag();
+    if shots.len() > 1 {
+        integrator.prepare_views(&shots, &stop);
+    }
     let mut frames = Vec::new();
     for (number, shot) in shots.iter().enumerate() {
         let mut film = shot.film(&aovs)?;
@@ -322,17 +321,25 @@ fn number(n: f64) -> Value {
 }
 
 /// The method and its settings: the user's, else the scene's.
-fn method(args: &Args, scene: &Scene, ctx: &Context) -> (String, Settings) {
-    let wanted = &scene.integrator;
-    let known = INTEGRATORS.iter().any(|e| e.name == wanted.name);
-    if args.integrator.is_none() && !known && !wanted.name.is_empty() {
-        ctx.warn(format!("the scene's integrator `{}` is not known here: rendering with `path`", wanted.name));
-    }
-    // A file that names none wants what it holds to be seen.
-    let has_media = !scene.media.is_empty();
-    let missing = if wanted.name.is_empty() && has_media { "volpath" } else { "path" };
-    let name = args.integrator.clone().unwrap_or_else(|| if known { wanted.name.clone() } else { missing.into() });
+fn method(args: &Args, world: &World, ctx: &Context) -> (String, Settings) {
+    let scene = world.scene();
     let own = Settings::of(scene);
+    let wanted = scene.integrator.name.as_str();
+    let nearest = integrator::nearest(wanted, world, own.camera_medium.is_some());
+    if args.integrator.is_none() {
+        match nearest.kind {
+            Likeness::Same => {}
+            Likeness::Like => {
+                ctx.note(format!("the scene's integrator `{wanted}` is rendered with `{}`", nearest.name))
+            }
+            Likeness::Unknown => {
+                let what =
+                    format!("the scene's integrator `{wanted}` is not known here: rendering with `{}`", nearest.name);
+                ctx.warn(what);
+            }
+        }
+    }
+    let name = args.integrator.clone().unwrap_or_else(|| nearest.name.to_owned());
     let settings = Settings { max_depth: args.max_depth.map_or(own.max_depth, |n| (n > 0).then_some(n)), ..own };
     (name, settings)
 }

@@ -19,14 +19,20 @@ use crate::PathSampler;
 use crate::light::End;
 use glam::Vec3;
 use std::f32::consts::PI;
+use std::sync::atomic::Ordering;
 use translume_bxdf::{Flags, Mode};
 use translume_core::frame::Frame;
 use translume_core::sampler::Sampler;
 use translume_core::warp;
+use translume_trace::Ray;
 
-/// Trials after which the estimate is cut off: a chance of less than one in a million, and a guard against endless loops
-/// where rounding forbids what happened.
+/// Trials after which the estimate is cut off, without a ray and with one: a chance of less than one in a million, and a guard against
+/// endless loops where rounding forbids what happened.
 const MOST_TRIALS: u64 = 20_000_000;
+const MOST_RAYS: u64 = 300_000;
+
+/// Cosines of directions of single precision are known so well.
+const ROUNDING: f32 = 1e-6;
 
 impl Linker<'_> {
     /// One over the chance.
@@ -47,9 +53,7 @@ impl Linker<'_> {
         let to_y = -arrival.wi;
         let frame = Frame::from_normal(to_y);
         // Whether the hit of a ray of this density per solid angle (parallel light: per area across) is a success.
-        let mut hits = |target: Vec3, pdf: f32, u: f32| {
-            *rays += 1;
-            let ray = self.lights.ray_beside(self.world, v, target);
+        let mut hits = |ray: Ray, pdf: f32, u: f32| {
             self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let reach = self.reach(v, t);
                 let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
@@ -62,10 +66,11 @@ impl Linker<'_> {
         {
             let pdf = start.pdf_next();
             let radius = (self.bandwidth.h[0] / (LEAST_COS * pdf).sqrt()).min(self.bandwidth.most);
-            let trials = until(|| {
+            let trials = self.until(rays, |rays| {
                 let u = sampler.next_2d();
                 let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * radius).extend(0.0));
-                hits(center + beside, pdf, sampler.next_1d())
+                *rays += 1;
+                hits(self.lights.ray_beside(self.world, v, center + beside), pdf, sampler.next_1d())
             });
             return trials / (PI * radius * radius * pdf);
         }
@@ -85,6 +90,11 @@ impl Linker<'_> {
             }
             Parent::Vertex(_, shading) => (shading.flags() == Flags::REFLECTION.or(Flags::DIFFUSE)).then_some(1.0 / PI),
         };
+        // The light path itself is one of the walks that are counted. Where rounding would have it miss, next to where it comes from, the
+        // trials would never end, and there is no light to speak of between surfaces that close.
+        if -v.hit.wo.dot(to_y) < cos - ROUNDING {
+            return 0.0;
+        }
         let density = |d: Vec3| match parent {
             Parent::Start(start) => self.world.lights().pdf_start(self.plan.starts, &start.point(), d).1,
             Parent::Vertex(p, shading) => {
@@ -92,35 +102,38 @@ impl Linker<'_> {
             }
         };
         if let (None, Parent::Vertex(p, shading)) = (bounded, parent) {
-            return until(|| {
+            return self.until(rays, |rays| {
                 let Some(s) = shading.sample(p.hit.wo, sampler.next_1d(), sampler.next_2d(), Mode::Importance) else {
                     return false;
                 };
                 let inside = !s.flags.contains(Flags::DELTA) && s.wi.dot(to_y) >= cos;
-                inside && hits(origin + s.wi * distance, s.pdf_w, sampler.next_1d())
+                *rays += u64::from(inside);
+                inside && hits(self.lights.ray_along(v, s.wi), s.pdf_w, sampler.next_1d())
             });
         }
         let most = bounded.unwrap_or(1.0);
-        let trials = until(|| {
+        let trials = self.until(rays, |rays| {
             let u = sampler.next_2d();
             let d = frame.to_world(warp::uniform_cone(u.x, u.y, cos));
             let pdf = density(d);
-            sampler.next_1d() * most < pdf && hits(origin + d * distance, pdf, sampler.next_1d())
+            let chosen = sampler.next_1d() * most < pdf;
+            *rays += u64::from(chosen);
+            chosen && hits(self.lights.ray_along(v, d), pdf, sampler.next_1d())
         });
         trials * warp::uniform_cone_pdf(cos) / most
+    }
+
+    /// Trials up to and with the first success, which are told to count their rays.
+    fn until(&self, rays: &mut u64, mut success: impl FnMut(&mut u64) -> bool) -> f32 {
+        let (mut n, most) = (1_u64, *rays + MOST_RAYS);
+        while !success(rays) && n < MOST_TRIALS && *rays < most && !self.stop.load(Ordering::Relaxed) {
+            n += 1;
+        }
+        n as f32
     }
 }
 
 /// The largest cosine to a normal within a cone whose axis has the cosine `c` to it.
 fn widest_cosine(c: f32, cone: f32) -> f32 {
     if c >= cone { 1.0 } else { c * cone + ((1.0 - c * c) * (1.0 - cone * cone)).max(0.0).sqrt() }
-}
-
-/// Trials up to and with the first success.
-fn until(mut success: impl FnMut() -> bool) -> f32 {
-    let mut n = 1_u64;
-    while !success() && n < MOST_TRIALS {
-        n += 1;
-    }
-    n as f32
 }

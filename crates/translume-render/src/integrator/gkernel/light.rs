@@ -16,6 +16,7 @@ use crate::{PathSampler, Rgb, luminance};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::frame::Frame;
 use translume_core::morton;
 use translume_core::sampler::Sampler;
@@ -213,6 +214,8 @@ pub(crate) struct Request<'a> {
     pub(crate) count: u32,
     /// Light paths of a step are a low-discrepancy sequence; if not, independent.
     pub(crate) sobol: bool,
+    /// Someone wants the render to end: what is traced will not be used.
+    pub(crate) stop: &'a AtomicBool,
 }
 
 /// Paths that one task traces.
@@ -229,7 +232,9 @@ impl LightPaths {
             .map(|c| {
                 let mut own = Self::default();
                 let mut buffer = Vec::new();
-                (c * CHUNK..((c + 1) * CHUNK).min(request.count)).for_each(|i| own.add(request, i, &mut buffer));
+                (c * CHUNK..((c + 1) * CHUNK).min(request.count))
+                    .take_while(|_| !request.stop.load(Ordering::Relaxed))
+                    .for_each(|i| own.add(request, i, &mut buffer));
                 own
             })
             .collect();
@@ -364,15 +369,29 @@ impl LightPaths {
     /// The ray from the parent of `v` through a point beside `v`.
     #[inline]
     pub(crate) fn ray_beside(&self, world: &World, v: &LightVertex, q: Vec3) -> Ray {
+        let towards = |from: Vec3| (q - from).normalize_or(-v.hit.wo);
         if !v.first() {
-            let from = &self.vertices[v.parent as usize].hit.point;
-            return from.spawn((q - from.p).normalize_or(-v.hit.wo));
+            return self.ray_along(v, towards(self.vertices[v.parent as usize].hit.point.p));
         }
         let start = &self.starts[v.parent as usize];
         match &start.origin {
-            End::Surface(from) => from.spawn((q - from.p).normalize_or(-v.hit.wo)),
-            End::Point(from) => Ray::new(*from, (q - *from).normalize_or(-v.hit.wo)),
+            End::Surface(from) => self.ray_along(v, towards(from.p)),
+            End::Point(from) => self.ray_along(v, towards(*from)),
             End::Far => Ray::new(q - start.direction * (4.0 * world.bounding_sphere().1), start.direction),
+        }
+    }
+
+    /// The ray from the parent of `v`, which is not far away, in this direction. Far from the origin there is nothing between the points
+    /// that single precision knows: whoever has a direction must not go by one.
+    #[inline]
+    pub(crate) fn ray_along(&self, v: &LightVertex, d: Vec3) -> Ray {
+        if !v.first() {
+            return self.vertices[v.parent as usize].hit.point.spawn(d);
+        }
+        match &self.starts[v.parent as usize].origin {
+            End::Surface(from) => from.spawn(d),
+            End::Point(from) => Ray::new(*from, d),
+            End::Far => Ray::new(v.hit.point.p - d, d), // not called
         }
     }
 

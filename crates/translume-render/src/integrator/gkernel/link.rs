@@ -24,6 +24,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::frame::Frame;
 use translume_core::sampler::Sampler;
 use translume_core::warp;
@@ -154,6 +155,8 @@ pub(crate) struct Linker<'a> {
     pub(crate) max: u32,
     /// Of the random numbers.
     pub(crate) seed: (u64, u64),
+    /// Someone wants the render to end: scores will not be used.
+    pub(crate) stop: &'a AtomicBool,
 }
 
 /// What a link brings.
@@ -211,6 +214,9 @@ impl<'a> Linker<'a> {
                 chunk.iter().map(move |link| {
                     let v = &self.lights.vertices[link.light as usize];
                     let y = &eyes[link.eye as usize];
+                    if self.stop.load(Ordering::Relaxed) {
+                        return Score { value: Rgb::ZERO, visible: false, rays: 0 };
+                    }
                     if v.merged() {
                         return self.merge(link, v, y, ancestors);
                     }

@@ -243,7 +243,14 @@ impl GKernel {
         (w * h / 8).clamp(steady, MOST_PATHS)
     }
 
-    fn request<'a>(&self, shot: &Shot<'a>, step: u64, bandwidth: Bandwidth, plan: Plan<'a>) -> Request<'a> {
+    fn request<'a>(
+        &self,
+        shot: &Shot<'a>,
+        step: u64,
+        bandwidth: Bandwidth,
+        plan: Plan<'a>,
+        stop: &'a AtomicBool,
+    ) -> Request<'a> {
         Request {
             world: shot.world,
             limits: Limits {
@@ -256,6 +263,7 @@ impl GKernel {
             step,
             count: (self.light_paths(shot) as f32 / plan.keep.map_or(1.0, |keep| keep.share)) as u32,
             sobol: self.method.sobol,
+            stop,
         }
     }
 
@@ -269,6 +277,7 @@ impl GKernel {
             smooth: self.method.smooth,
             max: self.settings.most_segments(),
             seed: (request.seed, sample),
+            stop: request.stop,
         }
     }
 
@@ -294,11 +303,11 @@ impl GKernel {
     }
 
     /// What the pilot found about this view.
-    fn outlook(&self, shot: &Shot, pilot: &Pilot) -> Arc<Outlook> {
+    fn outlook(&self, shot: &Shot, pilot: &Pilot, stop: &AtomicBool) -> Arc<Outlook> {
         let mut known = self.outlook.lock().unwrap_or_else(PoisonError::into_inner);
         match &*known {
             Some(outlook) if outlook.view == shot.view => outlook.clone(),
-            _ => known.insert(Arc::new(self.look(shot, pilot))).clone(),
+            _ => known.insert(Arc::new(self.look(shot, pilot, stop))).clone(),
         }
     }
 
@@ -321,7 +330,7 @@ impl GKernel {
         (traced, rays)
     }
 
-    /// One block of tiles: one camera path more for each pixel.
+    /// One block of tiles: one camera path more for each pixel, or none where it is told to stop.
     fn block(
         &self,
         shot: &Shot,
@@ -331,13 +340,12 @@ impl GKernel {
         (linker, traced): (&Linker, &Traced),
         outlook: &Outlook,
     ) -> u64 {
-        tiles.par_iter_mut().for_each(|t| shot.add_features(t, aovs, sample));
         let (mut places, mut radiance) = (Vec::new(), Vec::new());
         let (mut tails, mut shares) = (Vec::new(), Vec::new());
         let (mut eyes, mut ancestors) = (Vec::new(), Vec::new());
         let mut wanted = Vec::new();
         let mut rays = 0;
-        for mut part in self.eyes(shot, linker.plan, tiles, sample) {
+        for mut part in self.eyes(shot, linker.plan, tiles, sample, linker.stop) {
             let [base, first_tail, first_eye] = [radiance.len(), tails.len(), eyes.len()].map(|n| n as u32);
             let first_ancestor = ancestors.len() as u32;
             ancestors.extend(part.ancestors.iter().map(|a| a.moved(first_ancestor)));
@@ -371,6 +379,10 @@ impl GKernel {
             unoccluded += u64::from(score.visible);
             rays += score.rays;
         }
+        if linker.stop.load(Ordering::Relaxed) {
+            return rays;
+        }
+        tiles.par_iter_mut().for_each(|t| shot.add_features(t, aovs, sample));
         for share in shares {
             radiance[share.path as usize] += share.factor * tails[share.tail as usize];
         }
@@ -394,22 +406,22 @@ impl Integrator for GKernel {
     }
 
     /// One pilot for all views; light paths are kept.
-    fn prepare_views(&self, shots: &[Shot]) {
+    fn prepare_views(&self, shots: &[Shot], stop: &AtomicBool) {
         self.keep.store(true, Ordering::Relaxed);
         if !shots.is_empty() {
-            self.pilot.get_or_init(|| self.fly_pilot(&shots.iter().collect::<Vec<_>>()));
+            self.pilot.get_or_init(|| self.fly_pilot(&shots.iter().collect::<Vec<_>>(), stop));
         }
     }
 
     /// A step, or the rest of one.
     fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &(dyn Fn() -> bool + Sync)) -> Option<u64> {
-        let pilot = self.pilot.get_or_init(|| self.fly_pilot(&[shot]));
-        let outlook = self.outlook(shot, pilot);
+        let pilot = self.pilot.get_or_init(|| self.fly_pilot(&[shot], stop));
+        let outlook = self.outlook(shot, pilot, stop);
         let first = film.samples().0;
         let step = first / self.eye_paths;
         let bandwidth = self.bandwidth(shot, step, pilot.h);
         let weighing = self.weighing((pilot.scale, pilot.steadiness), &bandwidth, self.light_paths(shot));
-        let request = self.request(shot, step, bandwidth, pilot.plan(weighing));
+        let request = self.request(shot, step, bandwidth, pilot.plan(weighing), stop);
         let (traced, mut rays) = self.traced(&request);
         let lights = &traced.lights;
         let aovs = film.aovs().to_vec();

@@ -19,6 +19,7 @@ use crate::world::{MOST_CROSSINGS, World};
 use crate::{PathSampler, Rgb, luminance};
 use rayon::prelude::*;
 use std::f32::consts::PI;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_bxdf::Mode;
 use translume_core::sampler::Sampler;
 
@@ -87,7 +88,7 @@ impl Pilot {
 }
 
 impl GKernel {
-    pub(super) fn fly_pilot(&self, shots: &[&Shot]) -> Pilot {
+    pub(super) fn fly_pilot(&self, shots: &[&Shot], stop: &AtomicBool) -> Pilot {
         let shot = shots[0];
         let lights = shot.world.lights();
         let first = Plan {
@@ -96,7 +97,7 @@ impl GKernel {
             seen: None,
             keep: None,
         };
-        let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, first));
+        let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.flock(shot, first, stop));
         let flock = views.reduce(Flock::join).unwrap_or_default();
         let mut lamps = flock.lamps(shot, None, 0);
         let seen = if self.method.seen { flock.learn(shot, &lamps) } else { None };
@@ -108,8 +109,8 @@ impl GKernel {
         let starts = lights.starts_by(learnt, LEARNT, self.quota);
         let steadiness = if self.method.steady { shine.steadiness } else { 1.0 };
         let mut pilot = Pilot { h: [FIRST_H; 2], scale: 1.0, steadiness, starts, seen, keep: None };
-        pilot.keep = if self.method.keep { self.keep(shot, &flock, &pilot) } else { None };
-        (pilot.h, pilot.scale) = self.calibrate(shot, &flock, &pilot);
+        pilot.keep = if self.method.keep { self.keep(shot, &flock, &pilot, stop) } else { None };
+        (pilot.h, pilot.scale) = self.calibrate(shot, &flock, &pilot, stop);
         pilot
     }
 
@@ -118,12 +119,12 @@ impl GKernel {
     }
 
     /// The pilot's camera paths.
-    fn flock<'a>(&self, shot: &Shot<'a>, plan: Plan<'a>) -> Flock<'a> {
+    fn flock<'a>(&self, shot: &Shot<'a>, plan: Plan<'a>, stop: &AtomicBool) -> Flock<'a> {
         // Only for its tiles.
         let Ok(Film { tiles, .. }) = shot.film(&[]) else { return Flock::default() };
         // Their vertices are wanted, not light.
         let plan = Plan { weighing: Weighing { emitters: 0.0, ..plan.weighing }, ..plan };
-        let block = |t| self.sparse_eyes(shot, plan, (t, STEP), |i| i % SPARSE == 5);
+        let block = |t| self.sparse_eyes(shot, plan, (t, STEP), |i| i % SPARSE == 5 && !stop.load(Ordering::Relaxed));
         let blocks: Vec<Block> = tiles.par_iter().map(block).collect();
         let mut flock = Flock { tiles: tiles.len(), ..Flock::default() };
         let mut paths = 0;
@@ -143,23 +144,23 @@ impl GKernel {
     }
 
     /// Finds out which light paths are to be kept.
-    fn keep(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> Option<Keep> {
+    fn keep(&self, shot: &Shot, flock: &Flock, pilot: &Pilot, stop: &AtomicBool) -> Option<Keep> {
         let mut keep = Keep::learn(&flock.eyes, shot.world.bounding_sphere())?;
         let plan = pilot.plan(self.weighed(shot, pilot.h, (1.0, pilot.steadiness)));
         keep.compare_with(&LightPaths::brought(
-            &few(self.request(shot, STEP, self.bandwidth(shot, 0, pilot.h), plan)),
+            &few(self.request(shot, STEP, self.bandwidth(shot, 0, pilot.h), plan, stop)),
             &keep,
         ));
         Some(keep)
     }
 
     /// Finds h and c.
-    fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot) -> ([f32; 2], f32) {
+    fn calibrate(&self, shot: &Shot, flock: &Flock, pilot: &Pilot, stop: &AtomicBool) -> ([f32; 2], f32) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&flock.eyes);
         let bandwidth = |h| self.bandwidth(shot, 0, h);
         let plan = pilot.plan(self.weighed(shot, h, (1.0, pilot.steadiness)));
-        let request = self.request(shot, STEP, bandwidth(h), plan);
+        let request = self.request(shot, STEP, bandwidth(h), plan, stop);
         let whole = request.count as f32;
         let request = few(request);
         let mut lights = LightPaths::trace(&request);
@@ -185,12 +186,12 @@ impl GKernel {
     }
 
     /// Finds how many links are occluded in a view.
-    pub(super) fn look(&self, shot: &Shot, pilot: &Pilot) -> Outlook {
+    pub(super) fn look(&self, shot: &Shot, pilot: &Pilot, stop: &AtomicBool) -> Outlook {
         let bandwidth = self.bandwidth(shot, 0, pilot.h);
         // The camera's vertices with the weights that links take.
         let plan = pilot.plan(self.weighed(shot, pilot.h, (pilot.scale, pilot.steadiness)));
-        let flock = self.flock(shot, plan);
-        let request = few(self.request(shot, STEP, bandwidth, plan));
+        let flock = self.flock(shot, plan, stop);
+        let request = few(self.request(shot, STEP, bandwidth, plan, stop));
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &flock.eyes;

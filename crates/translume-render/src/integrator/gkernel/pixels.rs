@@ -8,6 +8,7 @@ use crate::subpath::Limits;
 use crate::{PathSampler, Rgb, luminance};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::sampler::Sampler;
 
 /// Rays more for a pixel at the edge of a lamp. A lamp is hundreds of times brighter than what it lights, so that how much of such a pixel it
@@ -47,14 +48,21 @@ impl GKernel {
     }
 
     /// Camera paths number `sample` of all pixels of `tiles`.
-    pub(super) fn eyes<'a>(&self, shot: &Shot<'a>, plan: Plan<'a>, tiles: &[Tile], sample: u64) -> Vec<Block<'a>> {
+    pub(super) fn eyes<'a>(
+        &self,
+        shot: &Shot<'a>,
+        plan: Plan<'a>,
+        tiles: &[Tile],
+        sample: u64,
+        stop: &AtomicBool,
+    ) -> Vec<Block<'a>> {
         let eye = self.eye(shot, plan);
         let walk = |(number, tile): (usize, &Tile)| {
             let mut rays = 0;
-            let pixels = 0..tile.sums.len();
+            let pixels = 0..if stop.load(Ordering::Relaxed) { 0 } else { tile.sums.len() };
             let mut walks: Vec<Walked> =
                 pixels.map(|i| begin(shot, &eye, (number as u32, tile), (i, sample), &mut rays)).collect();
-            if self.method.edges {
+            if self.method.edges && !walks.is_empty() {
                 sharpen(shot, (tile, sample), &eye, &mut walks, &mut rays);
             }
             (walks, rays)
