@@ -96,6 +96,10 @@ pub fn watch() {
             if !translume_image::guard::is_active() {
                 let at = panic.location().map(|l| format!("{}:{}", l.file(), l.line())).unwrap_or_default();
                 let what = panic.payload_as_str().unwrap_or("unknown").replace('\n', " ");
+                if BEGUN.load(Relaxed) == 0 {
+                    // No reader is at work: a fault of the fuzzer itself.
+                    let _ = writeln!(std::io::stderr(), "the fuzzer itself panics at {at}: {what}");
+                }
                 let mut told = PANIC.lock().unwrap_or_else(PoisonError::into_inner);
                 told.get_or_insert(format!("panic at {at}: {what}"));
             }

@@ -56,7 +56,7 @@ fn images(to: &Path) -> Outcome {
     let head = |kind: u8, map: [u8; 5], bits: u8| {
         [&[0, u8::from(map[2] > 0), kind], &map[..], &[0; 4], &[w as u8, 0, h as u8, 0, bits, 0x20]].concat()
     };
-    std::fs::write(to.join("rgb.tga"), [head(2, [0; 5], 24), bytes.clone()].concat())?;
+    std::fs::write(to.join("rgb.tga"), [head(2, [0; 5], 24), bytes].concat())?;
     let runs: Vec<u8> = (0..h).flat_map(|y| [0x80 | (w - 1) as u8, y as u8, 9, 200]).collect();
     std::fs::write(to.join("runs.tga"), [head(10, [0; 5], 24), runs].concat())?;
     let palette = [head(1, [0, 0, 2, 0, 24], 8), vec![0, 0, 255, 0, 255, 0], vec![1; w * h]].concat();
@@ -254,9 +254,9 @@ fn samples(to: &Path) -> Outcome {
         bytes.extend(head.bytes());
         for i in 0..18u8 {
             if version == 1 {
-                bytes.extend(f32::from(i).to_le_bytes())
+                bytes.extend(f32::from(i).to_le_bytes());
             } else {
-                bytes.extend(f64::from(i).to_le_bytes())
+                bytes.extend(f64::from(i).to_le_bytes());
             }
         }
         std::fs::write(to.join(name), bytes)?;

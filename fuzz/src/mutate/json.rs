@@ -51,9 +51,9 @@ fn change(v: &mut Value, n: &mut usize, donor: &Value, rng: &mut Pcg32) -> bool 
             for i in 0..list.len() {
                 if *n == 0 && below(3, rng) == 0 {
                     if below(2, rng) == 0 {
-                        drop(list.remove(i))
+                        list.remove(i);
                     } else {
-                        list.insert(i, list[i].clone())
+                        list.insert(i, list[i].clone());
                     }
                     return true;
                 }
@@ -85,8 +85,8 @@ fn replace(v: &mut Value, donor: &Value, rng: &mut Pcg32) {
         Value::Number(n) => {
             let x = n.as_f64().unwrap_or(0.0);
             match below(6, rng) {
-                0 => json!(x as i64 + 1),
-                1 => json!(x as i64 - 1),
+                0 => json!((x as i64).saturating_add(1)),
+                1 => json!((x as i64).saturating_sub(1)),
                 2 => json!(-x),
                 3 => json!(x * 1e6),
                 _ => pick(

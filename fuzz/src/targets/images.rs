@@ -4,8 +4,8 @@ use super::Said;
 use crate::input::Input;
 use std::path::Path;
 use translume_image::{
-    Codes, Format, Picture, Samples, decode_codes, decode_picture, decode_straight, read_exr_channels, read_exr_parts,
-    read_layer, read_picture,
+    Codes, Format, Picture, Samples, TextureCodes, decode_codes, decode_picture, decode_texture, read_exr_channels,
+    read_exr_parts, read_layer, read_picture,
 };
 
 pub(super) fn run(folder: &Path, input: &Input) -> Said {
@@ -27,7 +27,7 @@ pub(super) fn run(folder: &Path, input: &Input) -> Said {
         upright(c);
     }
     assert_eq!(picture.is_ok(), from_file.is_ok(), "from memory and from the file");
-    decode_straight(bytes, &path).iter().for_each(sound);
+    decode_texture(bytes, &path, TextureCodes::Srgb).iter().for_each(sound);
     let said = Said::of(&picture, |_| String::new());
     if Format::of(bytes) != Some(Format::Exr) {
         return said;

@@ -26,7 +26,7 @@ pub(super) fn lights(folder: &Path, input: &Input) -> Said {
 /// Exposure times by name.
 pub(super) fn exposures(_: &Path, input: &Input) -> Said {
     let Some((_, bytes)) = input.files.first() else { return Said { accepted: false, text: String::new() } };
-    let text = String::from_utf8_lossy(bytes);
+    let text = translume_image::text::decode(bytes);
     let list = translume_hdr::parse_list(&text);
     if let Ok(list) = &list {
         assert!(list.iter().all(|(_, secs)| *secs > 0.0 && secs.is_finite()), "exposures are positive");

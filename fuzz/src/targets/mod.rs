@@ -40,7 +40,8 @@ impl Said {
         for c in text.chars() {
             let c = if c.is_ascii_digit() { '#' } else { c };
             quoted ^= c == '"';
-            if !quoted && !(c == '#' && last == '#') && out.len() < 240 {
+            let again = c == '#' && last == '#';
+            if !quoted && !again && out.len() < 240 {
                 out.push(c);
             }
             last = c;
