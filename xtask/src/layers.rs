@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 /// All crates, foundations first.
-const ORDER: [&str; 15] = [
+const ORDER: [&str; 16] = [
     "translume-core",
     "translume-image",
     "translume-mesh",
@@ -20,6 +20,7 @@ const ORDER: [&str; 15] = [
     "translume-capture",
     "translume-view",
     "translume",
+    "translume-fuzz",
 ];
 
 /// Crates that do not know each other, whatever their order.

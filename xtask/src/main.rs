@@ -1,4 +1,4 @@
-//! Chores of the project: `cargo xtask layers`, `cargo xtask licences`, `cargo xtask slow`.
+//! Chores of the project: `cargo xtask layers`, `cargo xtask licences`, `cargo xtask slow`, `cargo xtask fuzz`.
 
 mod layers;
 mod licences;
@@ -11,7 +11,8 @@ Usage: cargo xtask CHORE
 
   layers    check that crates depend only on crates of lower layers
   licences  list the licences of all dependencies and check that they are permissive
-  slow      run the tests that are too slow for every day (ignored ones), optimised";
+  slow      run the tests that are too slow for every day (ignored ones), optimised
+  fuzz      mutate the files of fuzz/corpus and read them, 60 s long or as long as --seconds says; fuzz help tells more";
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
@@ -19,6 +20,7 @@ fn main() -> ExitCode {
         ["layers"] => layers::check(),
         ["licences"] => licences::check(),
         ["slow"] => cargo(&["test", "--workspace", "--release", "--locked", "--", "--ignored"]),
+        ["fuzz", words @ ..] => fuzz(words),
         ["help" | "-h" | "--help"] => {
             println!("{USAGE}");
             Ok(())
@@ -45,6 +47,12 @@ fn command() -> Command {
 fn cargo(arguments: &[&str]) -> Result<(), String> {
     let status = command().args(arguments).status().map_err(|e| format!("cannot run cargo: {e}"))?;
     if status.success() { Ok(()) } else { Err(format!("cargo {} failed", arguments.join(" "))) }
+}
+
+/// Builds the fuzzer and beside it the program, whose readers it runs too, and hunts.
+fn fuzz(words: &[&str]) -> Result<(), String> {
+    cargo(&["build", "--locked", "--package", "translume", "--package", "translume-fuzz"])?;
+    cargo(&[&["run", "--locked", "--quiet", "--package", "translume-fuzz", "--"], words].concat())
 }
 
 /// What `cargo metadata` tells with these further arguments.

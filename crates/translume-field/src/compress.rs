@@ -7,7 +7,7 @@ use crate::file;
 use crate::layers::{self, Plan};
 use crate::matrix::{self, Matrix};
 use crate::pca;
-use crate::sphere::{Kernel, Point, points};
+use crate::sphere::{Kernel, points};
 use crate::stack::Stack;
 use crate::texture::{Codec, Texture};
 use crate::tiles::{self, Tiles, Tiling};
@@ -17,8 +17,9 @@ use rayon::prelude::*;
 
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
-/// Most pictures of a stack: between more, the interpolation is not solved in reasonable time.
-const MOST_PICTURES: usize = 4096;
+/// Most pictures between which is interpolated: for more, the dense system is not solved in reasonable time, which every
+/// opening of the field takes again. Of more, all shape the layers, and an even choice keeps its weights.
+pub(crate) const MOST_NODES: usize = 4096;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
 
@@ -167,11 +168,14 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
     let views = stack.views();
-    if lights.len() > MOST_PICTURES {
-        let what =
-            format!("{} pictures: a field is made of at most {MOST_PICTURES}; take every second one", lights.len());
-        return Err(Error::Parameter(what));
+    if lights.len() > MOST_NODES && !matches!(params.model, Model::Ptm | Model::Hsh) {
+        stack.warnings.push(format!(
+            "{}: of {} pictures all shape the layers, but only {MOST_NODES}, spread evenly, are interpolated between",
+            stack.folder.display(),
+            lights.len()
+        ));
     }
+    stack.reading = params.memory;
     if matches!(params.model, Model::Ptm | Model::Hsh) && !views.is_empty() {
         return Err(Error::Parameter(
             "PTM and HSH are functions of the light: pictures from several views need another model".into(),
@@ -262,13 +266,14 @@ impl Job<'_> {
     /// Of the texels held and up to 64 lights, after tone mapping.
     fn psnr(&self, field: &Field) -> Result<f64> {
         let relighter = Relighter::new(field)?;
-        let n = self.lights.len();
+        let nodes = self.nodes();
+        let n = nodes.len();
         let picked: Vec<usize> = (0..n.min(64)).map(|i| i * n / n.min(64)).collect();
         let mut mse = 0.0;
         for &i in &picked {
             let Some(mix) = field.mix_of_light(i) else { continue };
             let got = relighter.picture(&mix);
-            mse += self.matrix.display_error(i, &got, field.white, self.domain) / picked.len() as f64;
+            mse += self.matrix.display_error(nodes[i], &got, field.white, self.domain) / picked.len() as f64;
         }
         Ok(-10.0 * mse.max(1e-20).log10())
     }
@@ -286,16 +291,24 @@ impl Job<'_> {
         }
     }
 
-    fn points(&self) -> Vec<Point> {
-        points(&self.lights, &self.views)
+    /// The pictures between which is interpolated: all, or [`MOST_NODES`] of more.
+    fn nodes(&self) -> Vec<usize> {
+        let (n, most) = (self.lights.len(), self.lights.len().min(MOST_NODES));
+        (0..most).map(|i| i * n / most).collect()
     }
 
-    fn kernel(&self, default: bool, factors: &DMatrix<f64>) -> Kernel {
-        if self.params.gaussian.unwrap_or(default) {
-            Kernel::gaussian(&self.points())
+    /// Weights by direction: those of the nodes, `table` and `factors` having a row for every picture.
+    fn angular(&self, colour: bool, gaussian: bool, table: &DMatrix<f32>, factors: &DMatrix<f64>) -> Angular {
+        let nodes = self.nodes();
+        let of = |all: &[[f32; 3]]| -> Vec<[f32; 3]> { nodes.iter().filter_map(|i| all.get(*i).copied()).collect() };
+        let (lights, views) = (of(&self.lights), of(&self.views));
+        let points = points(&lights, &views);
+        let kernel = if self.params.gaussian.unwrap_or(gaussian) {
+            Kernel::gaussian(&points)
         } else {
-            Kernel::cross_validated(&self.points(), factors, self.domain)
-        }
+            Kernel::cross_validated(&points, &factors.select_rows(&nodes), self.domain)
+        };
+        Angular::Lights { colour, table: table.select_rows(&nodes), lights, views, kernel }
     }
 
     /// The default: principal directions of texels in the space of lights and colours, then layers in a closed loop.
@@ -309,6 +322,7 @@ impl Job<'_> {
         let (directions, _) = pca::randomised(&self.matrix, &means, planes, 1, step);
         let offset: Vec<f32> =
             directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
+        self.warn_of_planes(directions.ncols());
         let mut planes = self.project(&directions, &offset)?;
         if !matches!(self.params.rate, Rate::Psnr(_)) {
             self.matrix.release();
@@ -339,10 +353,25 @@ impl Job<'_> {
         let factors = DMatrix::from_fn(self.lights.len(), 3 * k, |l, j| {
             (0..k).map(|i| f64::from(table[(l, 3 * i + j % 3)]) * root[(i, j / 3)]).sum()
         });
-        let kernel = self.kernel(false, &factors);
-        let angular =
-            Angular::Lights { colour: true, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
+        let angular = self.angular(true, false, &table, &factors);
         Ok(Field { tiles, ..self.field(found.textures, angular) })
+    }
+
+    /// Says so when planes, which are held whole while they are encoded, take far more than the stack may.
+    fn warn_of_planes(&mut self, count: usize) {
+        let bytes = 4 * count * self.stack.pixels();
+        if bytes > self.params.memory + BESIDE {
+            let gb = |n: usize| n as f64 / 1e9;
+            self.stack.warnings.push(format!(
+                "{}: {count} planes of {} × {} texels take {:.1} GB beside the {:.1} GB for the stack; fewer layers or smaller \
+                 pictures take less",
+                self.stack.folder.display(),
+                self.stack.width,
+                self.stack.height,
+                gb(bytes),
+                gb(self.params.memory)
+            ));
+        }
     }
 
     /// How many principal planes are found for `terms` layers: as many as those hold, and a few; for tiles, some of which have more
@@ -486,9 +515,7 @@ impl Job<'_> {
         let layers = self.textures(&planes)?;
         (self.progress)("interpolating");
         let factors = vectors * products.map(f64::sqrt);
-        let kernel = self.kernel(true, &factors);
-        let angular =
-            Angular::Lights { colour: false, lights: self.lights.clone(), views: self.views.clone(), table, kernel };
+        let angular = self.angular(false, true, &table, &factors);
         Ok(self.field(layers, angular))
     }
 

@@ -76,21 +76,38 @@ impl Domain {
     #[inline(always)]
     pub fn light(self, values: &mut [f32]) {
         match self {
-            Self::Log { delta } => values.iter_mut().for_each(|v| *v = (exp(*v) - delta).max(0.0)),
+            Self::Log { delta } => values.iter_mut().for_each(|v| *v = (exp(*v) - delta).clamp_light()),
             Self::Root { delta } => values.iter_mut().for_each(|v| {
                 let root = (exp(*v) - delta).max(0.0);
-                *v = root * root;
+                *v = (root * root).clamp_light();
             }),
-            Self::Linear => values.iter_mut().for_each(|v| *v = v.max(0.0)),
+            Self::Linear => values.iter_mut().for_each(|v| *v = v.clamp_light()),
             Self::Display => {
-                values.iter_mut().for_each(|v| *v = translume_image::colour::srgb_to_linear(v.max(0.0)));
+                values
+                    .iter_mut()
+                    .for_each(|v| *v = translume_image::colour::srgb_to_linear(v.clamp_light()).clamp_light());
             }
             Self::Pu21 => {
                 // The scale begins at 0.005 cd/m².
                 let light = |v: f32| (metrics::pu21_decode(100.0 * f64::from(v)) / 100.0) as f32;
-                values.iter_mut().for_each(|v| *v = if *v <= 0.0 { 0.0 } else { light(*v) });
+                values.iter_mut().for_each(|v| *v = if *v > 0.0 { light(*v).clamp_light() } else { 0.0 });
             }
         }
+    }
+}
+
+/// The most light there is, relative to white: sums of damaged files end here and not at infinity.
+pub(crate) const MOST_LIGHT: f32 = 1e18;
+
+trait ClampLight {
+    /// Between 0 and [`MOST_LIGHT`]; NaN is 0.
+    fn clamp_light(self) -> Self;
+}
+
+impl ClampLight for f32 {
+    #[inline(always)]
+    fn clamp_light(self) -> Self {
+        if self > 0.0 { self.min(MOST_LIGHT) } else { 0.0 }
     }
 }
 

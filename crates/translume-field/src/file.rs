@@ -378,8 +378,12 @@ fn assemble(manifest: Manifest, document: &Value, binary: &[u8]) -> std::result:
             Angular::Lights { colour, table: values(&codes, count, (&low, &high), bits), lights, views, kernel }
         }
     };
-    if !(manifest.white > 0.0 && manifest.white.is_finite()) {
-        return Err("its white is no positive number".into());
+    if !(manifest.white > 0.0 && manifest.white < crate::domain::MOST_LIGHT) {
+        return Err(format!(
+            "its white is {}: a positive number below {:e} is wanted",
+            manifest.white,
+            crate::domain::MOST_LIGHT
+        ));
     }
     let domain = manifest.domain.check().map_err(|e| e.to_string())?;
     Ok(Field { model: manifest.model, width: w, height: h, domain, white: manifest.white, layers, tiles, angular })

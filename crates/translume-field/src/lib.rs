@@ -19,6 +19,7 @@ mod ktx2;
 mod layers;
 pub mod lights;
 mod lines;
+mod listed;
 pub mod matrix;
 pub mod measure;
 pub mod names;

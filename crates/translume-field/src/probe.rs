@@ -3,6 +3,9 @@
 //! A mirror ball shows the light where the normal is half way between light and view: with the highlight's normal n and
 //! the view v = (0, 0, 1), l = 2 (n·v) n − v. A matt ball is n·l wherever it is lit: a least-squares fit over its lit
 //! pixels, fitted again over those that the first fit says are lit, gives direction and strength.
+//!
+//! What looks like no ball gives no direction: a mirror has one small spot much brighter than most of it, a matt ball is what
+//! the fit says it is. Half of the ball at least must be in the picture.
 
 use crate::lights::normalised;
 use crate::{Error, Result};
@@ -66,34 +69,67 @@ fn pixels(picture: &Picture, ball: Ball) -> Vec<([f32; 3], f32)> {
     .collect()
 }
 
+/// Whether most of the ball lies within the picture.
+fn is_in_picture(pixels: &[([f32; 3], f32)], ball: Ball) -> bool {
+    pixels.len() as f32 > 0.5 * 0.96 * std::f32::consts::PI * ball.radius * ball.radius
+}
+
+/// The brightest of the pixels of a mirror, of which this part at most is a lamp's reflection …
+const MOST_BRIGHT: f32 = 0.2;
+/// … this part at least in one place, a spot of their area or somewhat more …
+const LEAST_TOGETHER: f32 = 0.5;
+/// … and that many times as bright as the middle one of all.
+const LEAST_CONTRAST: f32 = 2.0;
+/// What the shading of a matt ball may differ from the fit, RMS, relative to the values'.
+const MOST_RESIDUAL: f64 = 0.25;
+
 fn highlight(picture: &Picture, ball: Ball) -> Option<ProbeLight> {
     let pixels = pixels(picture, ball);
+    if !is_in_picture(&pixels, ball) {
+        return None;
+    }
     let most = pixels.iter().map(|p| p.1).fold(0.0, f32::max);
     // The brightest spot; a lamp's reflection is mostly clipped. Other bright things on the ball are kept out by taking
     // only what is near the spot's own centre, found again as it moves.
     let bright: Vec<_> = pixels.iter().filter(|p| p.1 > 0.9 * most && most > 0.0).collect();
-    let centre_of = |near: Option<[f32; 3]>| {
-        let close =
-            |n: &[f32; 3]| near.is_none_or(|c| (0..3).map(|i| (n[i] - c[i]).powi(2)).sum::<f32>() < 0.15 * 0.15);
+    let centre_of = |around: Option<[f32; 3]>| {
+        let close = |n: &[f32; 3]| around.is_none_or(|c| near(n, c, 0.15));
         let mut sum = [0.0f32; 3];
         bright.iter().filter(|p| close(&p.0)).for_each(|p| (0..3).for_each(|i| sum[i] += p.0[i] * p.1));
         normalised(sum)
     };
     // The densest place to start from: the bright pixel with most others about it, of up to 400.
     let step = bright.len().div_ceil(400).max(1);
-    let about = |n: &[f32; 3]| {
-        bright.iter().filter(|p| (0..3).map(|i| (n[i] - p.0[i]).powi(2)).sum::<f32>() < 0.1 * 0.1).count()
-    };
+    let about = |n: &[f32; 3]| bright.iter().filter(|p| near(n, p.0, 0.1)).count();
     let mut n = bright.iter().step_by(step).max_by_key(|p| about(&p.0))?.0;
     for _ in 0..3 {
         n = centre_of(Some(n))?;
+    }
+    let mut values: Vec<f32> = pixels.iter().map(|p| p.1).collect();
+    let middle = values.len() / 2;
+    let median = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let spot = (1.5 * (bright.len() as f32 / pixels.len() as f32).sqrt()).max(0.15);
+    let together = bright.iter().filter(|p| near(&p.0, n, spot)).count() as f32;
+    let is_lamp = (bright.len() as f32) < MOST_BRIGHT * pixels.len() as f32
+        && together > LEAST_TOGETHER * bright.len() as f32
+        && most > LEAST_CONTRAST * median;
+    if !is_lamp {
+        return None;
     }
     let direction = [2.0 * n[2] * n[0], 2.0 * n[2] * n[1], 2.0 * n[2] * n[2] - 1.0];
     Some(ProbeLight { direction: normalised(direction)?, strength: 1.0 })
 }
 
+/// Whether two normals are closer than `distance`.
+fn near(a: &[f32; 3], b: [f32; 3], distance: f32) -> bool {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>() < distance * distance
+}
+
 fn shading(picture: &Picture, ball: Ball) -> Option<ProbeLight> {
     let pixels = pixels(picture, ball);
+    if !is_in_picture(&pixels, ball) {
+        return None;
+    }
     let most = pixels.iter().map(|p| p.1).fold(0.0, f32::max);
     if most <= 0.0 {
         return None;
@@ -102,6 +138,15 @@ fn shading(picture: &Picture, ball: Ball) -> Option<ProbeLight> {
     for _ in 0..4 {
         let strength = l.norm();
         l = fit(pixels.iter().filter(|p| dot(p.0, &l) > 0.1 * strength))?;
+    }
+    // Over the whole ball: what faces away is dark.
+    let (mut wrong, mut all) = (0.0, 0.0);
+    for (n, value) in &pixels {
+        wrong += (f64::from(*value) - dot(*n, &l).max(0.0)).powi(2);
+        all += f64::from(*value).powi(2);
+    }
+    if wrong.is_nan() || wrong > MOST_RESIDUAL.powi(2) * all {
+        return None;
     }
     let direction = normalised([l[0] as f32, l[1] as f32, l[2] as f32])?;
     Some(ProbeLight { direction, strength: l.norm() as f32 })
@@ -160,6 +205,33 @@ mod tests {
         assert!(highlight(&picture(|_| 0.0), BALL).is_none() && shading(&picture(|_| 0.0), BALL).is_none());
         let elsewhere = Ball { x: 500.0, ..BALL };
         assert!(highlight(&picture(|_| 1.0), elsewhere).is_none());
+    }
+
+    /// Pictures of other things: a plain wall, a gradient, grain, a pattern, a ball that is half out of the picture.
+    #[test]
+    fn what_is_no_ball_shows_no_light() {
+        let of = |value: &dyn Fn(u32, u32) -> f32| {
+            Picture::new(Rgb32FImage::from_fn(80, 64, |x, y| [value(x, y); 3].into()))
+        };
+        let noise = |x: u32, y: u32| {
+            f32::from((x.wrapping_mul(0x9e37).wrapping_add(y.wrapping_mul(0x79b9)) ^ (x * y)) as u8) / 255.0
+        };
+        type Shade<'a> = &'a dyn Fn(u32, u32) -> f32;
+        let others: [(&str, Shade<'_>); 5] = [
+            ("wall", &|_, _| 0.5),
+            ("gradient", &|x, _| x as f32 / 80.0),
+            ("grain", &noise),
+            ("pattern", &|x, y| if (x / 6 + y / 6) % 2 == 0 { 0.9 } else { 0.1 }),
+            ("text", &|x, y| if noise(x / 2, y / 2) > 0.9 { 0.9 } else { 0.2 }),
+        ];
+        for (name, value) in others {
+            assert!(highlight(&of(value), BALL).is_none(), "{name}: {:?}", highlight(&of(value), BALL));
+            // A gradient is what a ball lit from the side nearly is.
+            let matt = shading(&of(value), BALL);
+            assert!(matt.is_none() || name == "gradient", "{name}: {matt:?}");
+        }
+        let half_out = Ball { x: -3.0, ..BALL };
+        assert!(highlight(&picture(|n| if n[2] > 0.99 { 1.0 } else { 0.05 }), half_out).is_none());
     }
 
     /// Mirror balls photographed by others, with the directions that they found.

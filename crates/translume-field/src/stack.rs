@@ -41,7 +41,12 @@ pub struct Stack {
     pub linear: bool,
     /// What is odd about the stack but no reason to stop.
     pub warnings: Vec<String>,
+    /// Bytes that the pictures may take that are read at the same time; one is in any case.
+    pub reading: usize,
 }
+
+/// Bytes a pixel while a picture is read: the result, and what it is made of.
+const PER_PIXEL: usize = 28;
 
 /// Counts of samples that had to be changed.
 #[derive(Debug, Default)]
@@ -100,6 +105,7 @@ impl Stack {
             white: 1.0,
             linear,
             warnings: Vec::new(),
+            reading: 1 << 30,
             shots,
         };
         if linear || is_float(&stack.shots[0].path)? {
@@ -116,6 +122,12 @@ impl Stack {
     /// Number of pixels of a picture.
     pub fn pixels(&self) -> usize {
         self.width * self.height
+    }
+
+    /// How many pictures are read at the same time; all, where there is room for as many as there are threads.
+    fn at_once(&self) -> usize {
+        let room = (self.reading / (PER_PIXEL * self.pixels()).max(1)).max(1);
+        if room < rayon::current_num_threads() { room } else { self.shots.len().max(1) }
     }
 
     /// Reads the picture of light `i`: interleaved RGB relative to [`Stack::white`], negative and not finite samples
@@ -175,11 +187,15 @@ impl Stack {
     ) -> Result<()> {
         let repairs = Repairs::default();
         let stack = &*self;
-        (0..stack.shots.len()).into_par_iter().with_max_len(1).try_for_each(|i| {
+        let one = |i: usize| {
             each(i, stack.read_counting(i, &repairs)?)?;
             progress();
             Ok::<_, Error>(())
-        })?;
+        };
+        let all: Vec<usize> = (0..stack.shots.len()).collect();
+        for some in all.chunks(stack.at_once()) {
+            some.par_iter().with_max_len(1).try_for_each(|i| one(*i))?;
+        }
         let (black, n) = (repairs.black.into_inner(), self.shots.len());
         if black == n {
             return Err(Error::invalid(&self.folder, "all pictures are black: nothing to compress"));

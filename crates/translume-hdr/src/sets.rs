@@ -10,7 +10,7 @@ pub fn parse_seconds(text: &str) -> Result<f64> {
     let t = text.trim().trim_end_matches(['s', '"', ' ']);
     let value = match t.split_once('/') {
         Some((a, b)) => a.trim().parse::<f64>().ok().zip(b.trim().parse::<f64>().ok()).map(|(a, b)| a / b),
-        None => t.parse().ok(),
+        None => t.parse().ok().or_else(|| t.replacen(',', ".", 1).parse().ok()),
     };
     value.filter(|v| v.is_finite() && *v > 0.0).ok_or_else(|| {
         Error::Bracket(format!("exposure '{text}' is not a positive number of seconds like 0.25 or 1/30"))
@@ -34,11 +34,7 @@ pub fn parse_list(text: &str) -> Result<Vec<(String, f64)>> {
         if line.is_empty() || line.starts_with('#') || line.contains('=') {
             continue;
         }
-        let fields: Vec<&str> = if line.contains([',', ';']) {
-            line.split([',', ';']).map(str::trim).collect()
-        } else {
-            line.split_whitespace().collect()
-        };
+        let fields = fields(line);
         if std::mem::take(&mut first) && fields.len() > 1 && fields.iter().skip(1).all(|f| parse_seconds(f).is_err()) {
             let titled = |f: &&str| ["exposure", "second", "time"].iter().any(|w| f.to_lowercase().contains(w));
             column = fields.iter().position(titled).unwrap_or(1);
@@ -54,6 +50,20 @@ pub fn parse_list(text: &str) -> Result<Vec<(String, f64)>> {
         return Err(Error::Bracket("no line with a file name and seconds".into()));
     }
     Ok(out)
+}
+
+/// The fields of a line. A comma is a decimal mark, not a separator, where semicolons or tabs separate, or nothing but
+/// white space could.
+fn fields(line: &str) -> Vec<&str> {
+    if line.contains([';', '\t']) {
+        return line.split([';', '\t']).map(|f| f.trim().trim_end_matches(',')).collect();
+    }
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let bare = words.iter().all(|w| !w.ends_with(',') && !w.starts_with(','));
+    if line.contains(',') && !(words.len() > 1 && bare && parse_seconds(words[1]).is_ok()) {
+        return line.split(',').map(str::trim).collect();
+    }
+    words
 }
 
 /// How a folder's pictures, in their order, fall into brackets.

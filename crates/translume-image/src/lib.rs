@@ -25,6 +25,7 @@ mod picture;
 pub mod primaries;
 mod raster;
 mod read;
+pub mod text;
 pub mod tonemap;
 
 pub use codes::{Codes, Samples};

@@ -2,7 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::mesh::TriMesh;
-use crate::{gltf, obj, ply, serialized};
+use crate::{gltf, obj, off, ply, serialized, stl};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// What to read.
@@ -12,6 +13,8 @@ pub struct ReadOptions {
     pub part: Option<usize>,
     /// Folders, beside that of the file, where files that it names may be (glTF).
     pub asset_roots: Vec<PathBuf>,
+    /// Coordinates that 32-bit floats do not hold stay about [`Loaded::origin`]. Otherwise they are rounded, with a warning.
+    pub keep_origin: bool,
 }
 
 /// A mesh with its names.
@@ -44,9 +47,35 @@ pub struct Loaded {
     pub material_files: Vec<PathBuf>,
     /// What was odd and how it was dealt with, a line each.
     pub warnings: Vec<String>,
+    /// What the file has and a [`TriMesh`] has no place for, as the end of a sentence.
+    pub dropped: Vec<String>,
+    /// What was taken off all positions, because 32-bit floats would not hold them; zero for nearly all files.
+    pub origin: DVec3,
 }
 
 impl Loaded {
+    /// Adds the origin to all positions, rounded to 32-bit floats, and says what that costs.
+    fn put_back(&mut self) {
+        let origin = std::mem::take(&mut self.origin);
+        if origin == DVec3::ZERO {
+            return;
+        }
+        let mut moved = 0.0_f64;
+        for p in self.parts.iter_mut().flat_map(|p| &mut p.mesh.positions) {
+            let exact = DVec3::from(p.map(f64::from)) + origin;
+            let rounded = exact.as_vec3();
+            if exact.is_finite() {
+                moved = moved.max((rounded.as_dvec3() - exact).abs().max_element());
+            }
+            *p = rounded.into();
+        }
+        self.warnings.push(format!(
+            "its coordinates around {} {} {} lose precision in 32-bit floats: vertices move by up to {moved:.2e}; move the \
+             mesh to the origin",
+            origin.x, origin.y, origin.z
+        ));
+    }
+
     /// All parts as one mesh; `None` when it would not fit 32-bit indices.
     pub fn merged(self) -> Option<TriMesh> {
         let mut parts = self.parts.into_iter();
@@ -64,6 +93,10 @@ pub enum Format {
     Obj,
     /// glTF 2.0, JSON or binary.
     Gltf,
+    /// STL, text or binary.
+    Stl,
+    /// Geomview's OFF.
+    Off,
     /// Mitsuba's compressed mesh collections.
     Serialized,
 }
@@ -72,14 +105,17 @@ impl Format {
     /// By content where it tells, by extension otherwise.
     pub fn detect(path: &Path, bytes: &[u8]) -> Option<Self> {
         match bytes {
-            [b'p', b'l', b'y', b'\r' | b'\n', ..] => return Some(Self::Ply),
+            [b'p', b'l', b'y', b'\r' | b'\n' | b' ', ..] => return Some(Self::Ply),
             [b'g', b'l', b'T', b'F', ..] => return Some(Self::Gltf),
             [0x1c, 0x04, 3..=4, 0, ..] => return Some(Self::Serialized),
+            _ if off::is_off(bytes) => return Some(Self::Off),
             _ => {}
         }
         match path.extension()?.to_ascii_lowercase().to_str()? {
             "ply" => Some(Self::Ply),
             "obj" => Some(Self::Obj),
+            "stl" => Some(Self::Stl),
+            "off" => Some(Self::Off),
             "gltf" | "glb" => Some(Self::Gltf),
             "serialized" => Some(Self::Serialized),
             _ => None,
@@ -87,12 +123,23 @@ impl Format {
     }
 }
 
-/// Reads the meshes of a file: PLY, OBJ, glTF/GLB (the default scene, node transforms applied) or `.serialized`.
+/// The bytes of the file at `path`, which must be a plain one: devices and pipes may never end.
+pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+    let kind = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
+    if !kind.is_file() {
+        let what = if kind.is_dir() { "a folder" } else { "a device or pipe" };
+        return Err(Error::unsupported(path, format!("{what}, not a plain file")));
+    }
+    std::fs::read(path).map_err(|e| Error::io(path, e))
+}
+
+/// Reads the meshes of a file: PLY, OBJ, STL, OFF, glTF/GLB (the default scene, node transforms applied) or
+/// `.serialized`.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] for damaged files, [`Error::Unsupported`] for other formats and features.
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Loaded> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = bytes_of(path)?;
     if bytes.is_empty() {
         return Err(Error::invalid(path, "the file is empty"));
     }
@@ -100,14 +147,19 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Loaded> {
         Some(Format::Ply) => ply::read(path, &bytes)?,
         Some(Format::Obj) => obj::read(path, &bytes)?,
         Some(Format::Gltf) => gltf::Asset::from_bytes_within(path, bytes, &options.asset_roots)?.flatten()?,
+        Some(Format::Stl) => stl::read(path, &bytes)?,
+        Some(Format::Off) => off::read(path, &bytes)?,
         Some(Format::Serialized) => return serialized::read(path, &bytes, options.part),
-        None => return Err(Error::unsupported(path, "not a PLY, OBJ, glTF, GLB or .serialized file")),
+        None => return Err(Error::unsupported(path, "not a PLY, OBJ, STL, OFF, glTF, GLB or .serialized file")),
     };
     if let Some(part) = options.part {
         if part >= loaded.parts.len() {
             return Err(Error::invalid(path, format!("no part {part}: the file has {}", loaded.parts.len())));
         }
         loaded.parts = vec![loaded.parts.swap_remove(part)];
+    }
+    if !options.keep_origin {
+        loaded.put_back();
     }
     Ok(loaded)
 }

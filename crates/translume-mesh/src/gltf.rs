@@ -91,7 +91,7 @@ impl Asset {
     /// # Errors
     /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] for other versions, [`Error::Outside`].
     pub fn open(path: &Path, roots: &[PathBuf]) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        let bytes = crate::files::bytes_of(path)?;
         Self::from_bytes_within(path, bytes, roots)
     }
 
@@ -246,7 +246,7 @@ impl Asset {
             let what = format!("it requires the extension {unknown}, which is not supported");
             return Err(Error::unsupported(&self.path, what));
         }
-        let mut loaded = Loaded::default();
+        let (mut loaded, mut worlds) = (Loaded::default(), Vec::new());
         let limit = LARGEST_FLATTENED.saturating_add(self.size().saturating_mul(8));
         let (mut elements, mut left_out) = (0_usize, 0);
         let mut poses = HashMap::new();
@@ -275,10 +275,8 @@ impl Asset {
                         let what = format!("more than {limit} vertices and triangles once instances are flattened");
                         return Err(Error::unsupported(&self.path, what + "; load it as a scene"));
                     }
-                    let mut part = part.clone();
-                    if !in_world {
-                        part.transform(&(world_from_node * *place));
-                    }
+                    let part = part.clone();
+                    worlds.push(if *in_world { DAffine3::IDENTITY } else { world_from_node * *place });
                     loaded.parts.push(Part {
                         name: name.cloned().unwrap_or_else(|| format!("mesh {mesh}")),
                         material: material.map(str::to_owned),
@@ -286,6 +284,17 @@ impl Asset {
                         mesh: part,
                     });
                 }
+            }
+        }
+        let wide = loaded.parts.iter().zip(&worlds).flat_map(|(p, world)| {
+            p.mesh.positions.iter().map(|p| world.transform_point3(glam::DVec3::from(p.map(f64::from))))
+        });
+        let origin = crate::origin::of(wide).unwrap_or_default();
+        loaded.origin = origin;
+        for (part, world) in loaded.parts.iter_mut().zip(&worlds) {
+            // What is where it belongs keeps its normals to the bit.
+            if *world != DAffine3::IDENTITY || origin != glam::DVec3::ZERO {
+                part.mesh.transform(&(DAffine3::from_translation(-origin) * *world));
             }
         }
         if left_out > 0 {

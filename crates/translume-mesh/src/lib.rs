@@ -1,6 +1,6 @@
 //! Triangle meshes: files, topology, normals.
 //!
-//! [`read`] takes PLY, OBJ, glTF/GLB and Mitsuba `.serialized` files and gives named [`Part`]s, each a [`TriMesh`].
+//! [`read`] takes PLY, OBJ, STL, OFF, glTF/GLB and Mitsuba `.serialized` files and gives named [`Part`]s, each a [`TriMesh`].
 //! What a reader accepts is sound by construction: every index is in range and every attribute has one value per
 //! vertex. Positions may still be infinite or NaN (files are like that); [`Topology`] counts them and ray tracing
 //! leaves such triangles out.
@@ -13,12 +13,16 @@
 mod error;
 mod files;
 pub mod gltf;
+mod lines;
 mod mesh;
 mod normals;
 pub mod obj;
+pub mod off;
+mod origin;
 pub mod ply;
 mod polygon;
 pub mod serialized;
+pub mod stl;
 mod topology;
 
 pub use error::{Error, Result};

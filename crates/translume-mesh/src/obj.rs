@@ -2,12 +2,16 @@
 //!
 //! Read: v (with colours), vt, vn, f with positive and relative indices, o, g, usemtl, mtllib, line continuation.
 //! Faces are grouped into one part per pair of object-or-group name and material. Free-form curves, lines and points
-//! are skipped and counted. A vertex is made for each distinct v/vt/vn triple.
+//! are skipped and counted. A vertex is made for each distinct v/vt/vn triple; a file without faces is a point cloud.
+//! Corners may name texture coordinates and normals that are not there, as some exporters write them: they have none
+//! then.
 
 use crate::error::{Error, Fault, Result, invalid};
-use crate::files::{Loaded, Part};
+use crate::files::{Loaded, Part, bytes_of};
+use crate::lines::{shown, text};
 use crate::mesh::TriMesh;
-use crate::polygon;
+use crate::{origin, polygon};
+use glam::DVec3;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -27,10 +31,7 @@ pub fn read(path: &Path, bytes: &[u8]) -> Result<Loaded> {
 
 /// Calls `parse` with each line, continuations joined, comments and line ends off; adds the line's number to faults.
 fn lines(bytes: &[u8], mut parse: impl FnMut(&[u8]) -> Parsed<()>) -> Parsed<()> {
-    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-        return Err(Fault::Unsupported("UTF-16 text; save it as UTF-8".into()));
-    }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = text(bytes)?;
     let (mut rest, mut number, mut joined) = (bytes, 0, Vec::new());
     while !rest.is_empty() {
         let end = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
@@ -67,7 +68,7 @@ const NONE: u32 = u32::MAX;
 
 #[derive(Default)]
 struct Reader {
-    positions: Vec<[f32; 3]>,
+    positions: Vec<[f64; 3]>,
     colors: Vec<[f32; 3]>,
     uvs: Vec<[f32; 2]>,
     normals: Vec<[f32; 3]>,
@@ -79,6 +80,8 @@ struct Reader {
     libraries: Vec<PathBuf>,
     corners: Vec<Corner>,
     skipped: usize,
+    /// Corners that name a texture coordinate and a normal that are not there.
+    absent: [usize; 2],
 }
 
 #[derive(Default)]
@@ -97,10 +100,10 @@ impl Reader {
             b"v" => self.vertex(rest)?,
             b"vt" => {
                 // One number makes a 1D texture coordinate.
-                let ([u, v, ..], n) = numbers::<3>(rest)?;
+                let ([u, v, ..], n) = floats::<3>(rest)?;
                 self.uvs.push([u, if n > 1 { v } else { 0.0 }]);
             }
-            b"vn" => match numbers::<3>(rest)? {
+            b"vn" => match floats::<3>(rest)? {
                 (n, 3) => self.normals.push(n),
                 _ => return invalid("a vn needs three numbers"),
             },
@@ -133,7 +136,7 @@ impl Reader {
             7 => Some([v[4], v[5], v[6]]), // after the weight
             _ => None,
         };
-        match rgb {
+        match rgb.map(|rgb| rgb.map(|c| c as f32)) {
             Some(rgb) => {
                 self.colors.resize(self.positions.len(), [1.0; 3]); // earlier ones had none
                 self.colors.push(rgb);
@@ -167,7 +170,7 @@ impl Reader {
         self.corners.clear();
         let lengths = [self.positions.len(), self.uvs.len(), self.normals.len()];
         for word in rest.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()) {
-            self.corners.push(corner(word, lengths)?);
+            self.corners.push(corner(word, lengths, &mut self.absent)?);
         }
         if self.corners.len() < 3 {
             self.skipped += 1;
@@ -189,15 +192,33 @@ impl Reader {
         if self.positions.is_empty() {
             return Err(Error::invalid(path, "no vertices: this is not an OBJ file, or it is empty"));
         }
+        let names = ["texture coordinates (vt)", "normals (vn)"];
+        for (name, count) in names.iter().zip(self.absent).filter(|(_, count)| *count > 0) {
+            warnings
+                .push(format!("{count} corners of faces name {name} that the file does not have: they are without"));
+        }
+        let origin = origin::of(self.positions.iter().map(|p| DVec3::from(*p))).unwrap_or(DVec3::ZERO);
         let folder = path.parent().unwrap_or(Path::new(""));
         let material_files = self.libraries.iter().map(|l| folder.join(l)).collect();
         let parts = self.groups.iter().filter(|g| !g.triangles.is_empty());
-        let parts = parts.map(|g| self.part(g, path)).collect::<Result<_>>()?;
-        Ok(Loaded { parts, material_files, warnings })
+        let mut parts = parts.map(|g| self.part(g, path, origin)).collect::<Result<Vec<_>>>()?;
+        if parts.is_empty() {
+            parts.push(Part::named(path, self.points(origin)));
+        }
+        Ok(Loaded { parts, material_files, warnings, origin, ..Loaded::default() })
+    }
+
+    /// All vertices, without triangles.
+    fn points(&self, origin: DVec3) -> TriMesh {
+        TriMesh {
+            positions: self.positions.iter().map(|p| about(origin, p)).collect(),
+            colors: (!self.colors.is_empty()).then(|| self.colors.clone()),
+            ..TriMesh::default()
+        }
     }
 
     /// Makes vertices from the distinct corners of a group, in the order of their first use.
-    fn part(&self, group: &Group, path: &Path) -> Result<Part> {
+    fn part(&self, group: &Group, path: &Path, origin: DVec3) -> Result<Part> {
         let all = |which: usize| group.triangles.iter().flatten().all(|c| c[which] != NONE);
         let any = |which: usize| group.triangles.iter().flatten().any(|c| c[which] != NONE);
         // Normals on some corners only are as good as none; texture coordinates are filled with zeros.
@@ -216,7 +237,7 @@ impl Reader {
             return Err(Error::unsupported(path, "more distinct corners than 32-bit indices reach"));
         }
         let mesh = TriMesh {
-            positions: vertices.iter().map(|v| self.positions[v[0] as usize]).collect(),
+            positions: vertices.iter().map(|v| about(origin, &self.positions[v[0] as usize])).collect(),
             normals: with_normals.then(|| vertices.iter().map(|v| self.normals[v[2] as usize]).collect()),
             uvs: with_uvs
                 .then(|| vertices.iter().map(|v| self.uvs.get(v[1] as usize).copied().unwrap_or_default()).collect()),
@@ -233,12 +254,21 @@ impl Reader {
     }
 }
 
+fn about(origin: DVec3, p: &[f64; 3]) -> [f32; 3] {
+    (DVec3::from(*p) - origin).as_vec3().into()
+}
+
+/// [`numbers`] as 32-bit floats.
+fn floats<const N: usize>(rest: &[u8]) -> Parsed<([f32; N], usize)> {
+    numbers::<N>(rest).map(|(values, n)| (values.map(|x| x as f32), n))
+}
+
 /// Up to `N` numbers; more are ignored.
-fn numbers<const N: usize>(rest: &[u8]) -> Parsed<([f32; N], usize)> {
+fn numbers<const N: usize>(rest: &[u8]) -> Parsed<([f64; N], usize)> {
     let mut values = [0.0; N];
     let mut n = 0;
-    for word in rest.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()).take(N) {
-        values[n] = number(word)?;
+    for word in crate::lines::words(rest).take(N) {
+        values[n] = crate::lines::number(word)?;
         n += 1;
     }
     if n == 0 {
@@ -247,36 +277,24 @@ fn numbers<const N: usize>(rest: &[u8]) -> Parsed<([f32; N], usize)> {
     Ok((values, n))
 }
 
-fn number(word: &[u8]) -> Parsed<f32> {
-    let text = std::str::from_utf8(word).unwrap_or("");
-    if let Ok(x) = text.parse() {
-        return Ok(x);
-    }
-    let lower = text.to_ascii_lowercase();
-    match () {
-        () if lower.contains("nan") || lower.contains("ind") => Ok(f32::NAN), // nan(ind), 1.#QNAN, -1.#IND
-        () if lower.contains("#inf") => Ok(if lower.starts_with('-') { f32::NEG_INFINITY } else { f32::INFINITY }),
-        () => invalid(format!("{:?} is not a number", String::from_utf8_lossy(&word[..word.len().min(40)]))),
-    }
-}
-
 /// `p`, `p/t`, `p//n` or `p/t/n`, counted from 1, or backwards from the newest by negative numbers.
-fn corner(word: &[u8], lengths: [usize; 3]) -> Parsed<Corner> {
-    const NAMES: [&str; 3] = ["vertex", "texture coordinate", "normal"];
+/// Texture coordinates and normals that are not there are counted in `absent`.
+fn corner(word: &[u8], lengths: [usize; 3], absent: &mut [usize; 2]) -> Parsed<Corner> {
     let mut corner = [NONE; 3];
     for (which, field) in word.split(|&b| b == b'/').take(3).enumerate() {
         if field.is_empty() && which > 0 {
             continue;
         }
         let Some(i) = integer(field) else {
-            return invalid(format!("face corner {:?}", String::from_utf8_lossy(&word[..word.len().min(40)])));
+            return invalid(format!("face corner {:?}", shown(word)));
         };
         let length = lengths[which] as i64;
         let index = if i < 0 { length + i } else { i - 1 };
-        if !(0..length).contains(&index) {
-            return invalid(format!("a face uses {} {i}, there are {length} so far", NAMES[which]));
+        match (which, (0..length).contains(&index)) {
+            (_, true) => corner[which] = index as u32,
+            (0, false) => return invalid(format!("a face uses vertex {i}, there are {length} so far")),
+            (_, false) => absent[which - 1] += 1,
         }
-        corner[which] = index as u32;
     }
     Ok(corner)
 }
@@ -299,7 +317,20 @@ fn integer(field: &[u8]) -> Option<i64> {
 /// # Errors
 /// Those of `out`.
 pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
-    for (i, [x, y, z]) in mesh.positions.iter().enumerate() {
+    write_about(mesh, DVec3::ZERO, out)
+}
+
+/// [`write`] with `origin` added to all positions.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_about(mesh: &TriMesh, origin: DVec3, out: &mut dyn Write) -> std::io::Result<()> {
+    for (i, p) in mesh.positions.iter().enumerate() {
+        // Without an origin the shortest text that gives the same 32-bit float.
+        let [x, y, z] = match origin == DVec3::ZERO {
+            true => p.map(|x| x.to_string()),
+            false => (DVec3::from(p.map(f64::from)) + origin).to_array().map(|x| x.to_string()),
+        };
         match mesh.colors.as_ref().map(|c| c[i]) {
             Some([r, g, b]) => writeln!(out, "v {x} {y} {z} {r} {g} {b}")?,
             None => writeln!(out, "v {x} {y} {z}")?,
@@ -359,7 +390,7 @@ pub struct Material {
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] with the line.
 pub fn read_mtl(path: &Path) -> Result<Vec<Material>> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = bytes_of(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut materials: Vec<Material> = Vec::new();
     lines(&bytes, |line| {
@@ -381,12 +412,12 @@ pub fn read_mtl(path: &Path) -> Result<Vec<Material>> {
 
 fn statement(material: &mut Material, keyword: &[u8], rest: &[u8], folder: &Path) -> Parsed<()> {
     // "Kd spectral file.rfl" and "Kd xyz …" are left out.
-    let color = || match numbers::<3>(rest) {
+    let color = || match floats::<3>(rest) {
         Ok((rgb, 3)) => Some(rgb),
         Ok((rgb, _)) => Some([rgb[0]; 3]),
         Err(_) => None,
     };
-    let scalar = || numbers::<1>(rest).map(|([x], _)| Some(x));
+    let scalar = || floats::<1>(rest).map(|([x], _)| Some(x));
     match keyword {
         b"Kd" => material.diffuse = color(),
         b"Ks" => material.specular = color(),

@@ -2,12 +2,14 @@
 //!
 //! Read: `vertex` with x y z, nx ny nz, colours, and texture coordinates under their usual names; `face` with
 //! `vertex_indices` or `vertex_index`; `tristrips`. Other elements and properties are skipped. Per-corner texture
-//! coordinates (`texcoord` lists) are not kept, which is reported.
+//! coordinates (`texcoord` lists) are not kept, which is reported. What a line of an ASCII file holds beyond its record
+//! is passed over, and said, where there are lines enough for one each.
 
 use crate::error::{Fault, Result, invalid};
 use crate::files::{Loaded, Part};
 use crate::mesh::TriMesh;
-use crate::polygon;
+use crate::{origin, polygon};
+use glam::DVec3;
 use std::io::Write;
 use std::path::Path;
 
@@ -18,11 +20,10 @@ type Parsed<T> = std::result::Result<T, Fault>;
 /// # Errors
 /// [`crate::Error::Invalid`] with the element and record where the file goes wrong, [`crate::Error::Unsupported`] for other versions.
 pub fn read(path: &Path, bytes: &[u8]) -> Result<Loaded> {
-    parse(bytes).map_err(|fault| fault.at(path)).map(|(mesh, warnings)| Loaded {
-        parts: vec![Part::named(path, mesh)],
-        warnings,
-        ..Loaded::default()
-    })
+    let mut loaded = Loaded::default();
+    let mesh = parse(bytes, &mut loaded).map_err(|fault| fault.at(path))?;
+    loaded.parts.push(Part::named(path, mesh));
+    Ok(loaded)
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -40,6 +41,8 @@ enum Kind {
     U16,
     I32,
     U32,
+    I64,
+    U64,
     F32,
     F64,
 }
@@ -53,6 +56,8 @@ impl Kind {
             "ushort" | "uint16" => Self::U16,
             "int" | "int32" => Self::I32,
             "uint" | "uint32" => Self::U32,
+            "int64" => Self::I64,
+            "uint64" => Self::U64,
             "float" | "float32" => Self::F32,
             "double" | "float64" => Self::F64,
             _ => return invalid(format!("PLY header: unknown property type {word:?}")),
@@ -64,7 +69,7 @@ impl Kind {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
+            Self::I64 | Self::U64 | Self::F64 => 8,
         }
     }
 
@@ -75,6 +80,7 @@ impl Kind {
             Self::I8 | Self::U8 => 255.0,
             Self::I16 | Self::U16 => 65535.0,
             Self::I32 | Self::U32 => u32::MAX as f32,
+            Self::I64 | Self::U64 => u64::MAX as f32,
         }
     }
 }
@@ -92,47 +98,62 @@ struct Element {
     properties: Vec<Property>,
 }
 
-fn parse(bytes: &[u8]) -> Parsed<(TriMesh, Vec<String>)> {
-    let (encoding, elements, body) = header(bytes)?;
-    let mut source = Source { bytes: body, at: 0, encoding };
+fn parse(bytes: &[u8], loaded: &mut Loaded) -> Parsed<TriMesh> {
+    let (encoding, elements, body) = header(bytes, &mut loaded.warnings)?;
+    let mut source = Source { bytes: body, at: 0, encoding, by_line: by_line(encoding, &elements, body), surplus: 0 };
     let mut mesh = TriMesh::default();
     let mut polygons = Polygons::default();
-    let mut warnings = Vec::new();
     for element in &elements {
         source.check_room(element)?;
         match element.name.as_str() {
-            "vertex" => vertices(&mut source, element, &mut mesh)?,
-            "face" => faces(&mut source, element, &mut polygons, &mut warnings)?,
-            "tristrips" => faces(&mut source, element, polygons.strips(), &mut warnings)?,
-            _ => skip(&mut source, element)?,
+            "vertex" => vertices(&mut source, element, &mut mesh, loaded)?,
+            "face" => faces(&mut source, element, &mut polygons, loaded)?,
+            "tristrips" => faces(&mut source, element, polygons.strips(), loaded)?,
+            _ => {
+                if element.count > 0 {
+                    loaded.dropped.push(format!("{} {} elements", element.count, element.name));
+                }
+                skip(&mut source, element)?;
+            }
         }
     }
-    polygons.triangles(&mut mesh, &mut warnings)?;
-    Ok((mesh, warnings))
+    polygons.triangles(&mut mesh, &mut loaded.warnings)?;
+    if source.surplus > 0 {
+        let what = "numbers in its lines beyond what the header promises are ignored";
+        loaded.warnings.push(format!("{} {what}", source.surplus));
+    }
+    if let Some(left) = source.left_over() {
+        loaded.warnings.push(format!("{left} after the last element that the header promises are ignored"));
+    }
+    Ok(mesh)
+}
+
+/// Whether an ASCII body has lines enough for each record to have its own.
+fn by_line(encoding: Encoding, elements: &[Element], body: &[u8]) -> bool {
+    let records = elements.iter().fold(0_u64, |n, e| n.saturating_add(e.count));
+    encoding == Encoding::Ascii && crate::lines::lines(body).count() as u64 >= records
 }
 
 // ---- Header ----
 
-fn header(bytes: &[u8]) -> Parsed<(Encoding, Vec<Element>, &[u8])> {
+fn header<'a>(bytes: &'a [u8], warnings: &mut Vec<String>) -> Parsed<(Encoding, Vec<Element>, &'a [u8])> {
     const LONGEST: usize = 1 << 20;
-    let newline: &[u8] = if bytes.starts_with(b"ply\r\n") {
-        b"\r\n"
-    } else if bytes.starts_with(b"ply\n") {
-        b"\n"
-    } else if bytes.starts_with(b"ply\r") {
-        b"\r"
-    } else {
+    let first = bytes.iter().position(|b| matches!(b, b'\r' | b'\n'));
+    let Some(first) = first.filter(|&n| bytes[..n].trim_ascii() == b"ply") else {
         return invalid("not a PLY file: it does not begin with a line \"ply\"");
     };
-    let mut rest = &bytes[3 + newline.len()..];
+    // Lines end at \n, which a \r may precede; where the first ends at \r alone, so do all: what follows the last one may
+    // be a byte of data that looks like \n.
+    let newline = if bytes[first] == b'\r' && bytes.get(first + 1) != Some(&b'\n') { b'\r' } else { b'\n' };
+    let mut rest = &bytes[first + 1 + usize::from(bytes[first] != newline)..];
     let (mut encoding, mut elements) = (None, Vec::<Element>::new());
     loop {
         let window = &rest[..rest.len().min(LONGEST)];
-        let Some(end) = window.windows(newline.len()).position(|w| w == newline) else {
+        let Some(end) = window.iter().position(|&b| b == newline) else {
             return invalid("PLY header: no end_header line");
         };
         let line = String::from_utf8_lossy(&rest[..end]);
-        rest = &rest[end + newline.len()..];
+        rest = &rest[end + 1..];
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
             ["format", name, "1.0"] => encoding = Some(encoding_named(name)?),
@@ -149,7 +170,11 @@ fn header(bytes: &[u8]) -> Parsed<(Encoding, Vec<Element>, &[u8])> {
             },
             ["end_header"] => break,
             [] | ["comment" | "obj_info", ..] => {}
-            _ => return invalid(format!("PLY header: cannot understand the line {:?}", shorten(&line))),
+            // Programs put words of their own there; what is no text is no header.
+            _ if line.chars().any(|c| c.is_control() && !c.is_whitespace() || c == '\u{fffd}') => {
+                return invalid(format!("PLY header: cannot understand the line {:?}", shorten(&line)));
+            }
+            _ => warnings.push(format!("the header's line {:?} is not known and passed over", shorten(&line))),
         }
         if bytes.len() - rest.len() > LONGEST {
             return invalid("PLY header: longer than a mebibyte");
@@ -174,9 +199,6 @@ fn property(words: &[&str]) -> Parsed<Property> {
     match *words {
         ["list", length, kind, name] => {
             let (length, kind) = (Kind::parse(length)?, Kind::parse(kind)?);
-            if matches!(length, Kind::F32 | Kind::F64) {
-                return invalid(format!("PLY header: the length of list {name:?} is not an integer"));
-            }
             Ok(Property { name: name.into(), length: Some(length), kind })
         }
         [kind, name] => Ok(Property { name: name.into(), length: None, kind: Kind::parse(kind)? }),
@@ -194,6 +216,10 @@ struct Source<'a> {
     bytes: &'a [u8],
     at: usize,
     encoding: Encoding,
+    /// See [`by_line`].
+    by_line: bool,
+    /// Words that lines hold beyond their records.
+    surplus: u64,
 }
 
 impl Source<'_> {
@@ -218,7 +244,28 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// The next value; every type fits an f64.
+    /// Ends a record: what is left of its line is surplus.
+    fn end_record(&mut self) {
+        if !self.by_line {
+            return;
+        }
+        let rest = &self.bytes[self.at..];
+        let length = rest.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(rest.len());
+        self.surplus += crate::lines::words(&rest[..length]).count() as u64;
+        self.at += length;
+    }
+
+    /// What follows the last element.
+    fn left_over(&self) -> Option<String> {
+        let rest = &self.bytes[self.at..];
+        match self.encoding {
+            Encoding::Ascii => Some(crate::lines::words(rest).count()).filter(|&n| n > 0).map(|n| format!("{n} words")),
+            // A line end, as editors put it there, is nothing.
+            _ => (!rest.trim_ascii().is_empty()).then(|| format!("{} bytes", rest.len())),
+        }
+    }
+
+    /// The next value; 64-bit integers lose what an f64 has no room for.
     #[inline]
     fn value(&mut self, kind: Kind) -> Option<f64> {
         if self.encoding == Encoding::Ascii {
@@ -239,9 +286,17 @@ impl Source<'_> {
             Kind::U16 => take!(u16),
             Kind::I32 => take!(i32),
             Kind::U32 => take!(u32),
+            Kind::I64 => self.wide(|raw| if big { i64::from_be_bytes(raw) } else { i64::from_le_bytes(raw) } as f64)?,
+            Kind::U64 => self.wide(|raw| if big { u64::from_be_bytes(raw) } else { u64::from_le_bytes(raw) } as f64)?,
             Kind::F32 => take!(f32),
             Kind::F64 => take!(f64),
         })
+    }
+
+    fn wide(&mut self, value: impl Fn([u8; 8]) -> f64) -> Option<f64> {
+        let raw = *self.bytes.get(self.at..)?.first_chunk()?;
+        self.at += 8;
+        Some(value(raw))
     }
 
     fn word(&mut self) -> Option<&[u8]> {
@@ -274,8 +329,8 @@ fn broken(element: &Element, record: u64) -> Fault {
 
 fn list_length(source: &mut Source, kind: Kind) -> Option<usize> {
     let n = source.value(kind)?;
-    // NaN and negative lengths fail the comparison.
-    (n >= 0.0 && n <= source.left() as f64).then_some(n as usize)
+    // NaN and negative lengths fail the comparison; the last word of a text needs no separator.
+    (n >= 0.0 && n <= source.left() as f64 && n.fract() == 0.0).then_some(n as usize)
 }
 
 fn skip_property(source: &mut Source, p: &Property) -> Option<()> {
@@ -292,6 +347,7 @@ fn skip(source: &mut Source, element: &Element) -> Parsed<()> {
     }
     for record in 0..element.count {
         element.properties.iter().try_for_each(|p| skip_property(source, p)).ok_or_else(|| broken(element, record))?;
+        source.end_record();
     }
     Ok(())
 }
@@ -314,7 +370,7 @@ const SLOTS: [&[&str]; 11] = [
     &["blue", "b", "diffuse_blue", "color_2"],
 ];
 
-fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parsed<()> {
+fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh, loaded: &mut Loaded) -> Parsed<()> {
     let slot = |p: &Property| SLOTS.iter().position(|names| p.length.is_none() && names.contains(&p.name.as_str()));
     let slots: Vec<Option<usize>> = element.properties.iter().map(slot).collect();
     let has = |mut range: std::ops::Range<usize>| range.all(|s| slots.contains(&Some(s)));
@@ -330,20 +386,28 @@ fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parse
     let n = element.count as usize; // bounded by check_room
     let kind_of = |s: usize| element.properties[slots.iter().position(|&t| t == Some(s)).unwrap_or(0)].kind;
     let full = kind_of(8).full_color();
-    mesh.positions.reserve_exact(n);
+    // Texts may hold more digits than their type.
+    let exact = source.encoding == Encoding::Ascii || (0..3).any(|s| !matches!(kind_of(s), Kind::F32));
+    let mut positions: Vec<[f64; 3]> = Vec::with_capacity(if exact { n } else { 0 });
+    mesh.positions.reserve_exact(if exact { 0 } else { n });
     mesh.normals = has(3..6).then(|| Vec::with_capacity(n));
     mesh.uvs = has(6..8).then(|| Vec::with_capacity(n));
     mesh.colors = has(8..11).then(|| Vec::with_capacity(n));
-    let mut v = [0.0_f32; SLOTS.len()];
+    let mut v = [0.0_f64; SLOTS.len()];
     for record in 0..element.count {
         for (p, slot) in element.properties.iter().zip(&slots) {
             match slot {
-                Some(slot) => source.value(p.kind).map(|x| v[*slot] = x as f32),
+                Some(slot) => source.value(p.kind).map(|x| v[*slot] = x),
                 None => skip_property(source, p),
             }
             .ok_or_else(|| broken(element, record))?;
         }
-        mesh.positions.push([v[0], v[1], v[2]]);
+        source.end_record();
+        match exact {
+            true => positions.push([v[0], v[1], v[2]]),
+            false => mesh.positions.push([v[0], v[1], v[2]].map(|x| x as f32)),
+        }
+        let v = v.map(|x| x as f32);
         if let Some(normals) = &mut mesh.normals {
             normals.push([v[3], v[4], v[5]]);
         }
@@ -353,6 +417,14 @@ fn vertices(source: &mut Source, element: &Element, mesh: &mut TriMesh) -> Parse
         if let Some(colors) = &mut mesh.colors {
             colors.push([v[8], v[9], v[10]].map(|c| c / full));
         }
+    }
+    if exact {
+        (mesh.positions, loaded.origin) = origin::narrowed(&positions);
+    }
+    let unused = element.properties.iter().zip(&slots).filter(|(_, slot)| slot.is_none()).map(|(p, _)| p.name.as_str());
+    let unused: Vec<&str> = unused.take(8).collect();
+    if !unused.is_empty() {
+        loaded.dropped.push(format!("the vertices' {}", unused.join(", ")));
     }
     Ok(())
 }
@@ -397,7 +469,7 @@ impl Polygons {
                 too_few += 1;
             } else {
                 let TriMesh { positions, indices, .. } = mesh;
-                let at = |i: usize| positions[corners[i] as usize];
+                let at = |i: usize| positions[corners[i] as usize].map(f64::from);
                 polygon::triangulate(corners.len(), at, |t| indices.push(t.map(|i| corners[i] as u32)));
             }
         }
@@ -408,17 +480,22 @@ impl Polygons {
     }
 }
 
-fn faces(source: &mut Source, element: &Element, to: &mut Polygons, warnings: &mut Vec<String>) -> Parsed<()> {
+fn faces(source: &mut Source, element: &Element, to: &mut Polygons, loaded: &mut Loaded) -> Parsed<()> {
     let is_corners = |p: &Property| p.length.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
     let Some(which) = element.properties.iter().position(is_corners) else {
-        warnings.push(format!("the {} elements have no vertex_indices: skipped", element.name));
+        loaded.warnings.push(format!("the {} elements have no vertex_indices: skipped", element.name));
         return skip(source, element);
     };
     if to.first_strip.is_some() && element.name == "face" {
         return Err(Fault::Unsupported("faces after triangle strips".into()));
     }
     if element.properties.iter().any(|p| p.name == "texcoord") {
-        warnings.push("texture coordinates per face corner are not kept (store them per vertex)".into());
+        loaded.warnings.push("texture coordinates per face corner are not kept (store them per vertex)".into());
+    }
+    let other = |p: &&Property| !is_corners(p) && p.name != "texcoord";
+    let unused: Vec<&str> = element.properties.iter().filter(other).map(|p| p.name.as_str()).take(8).collect();
+    if !unused.is_empty() && element.count > 0 {
+        loaded.dropped.push(format!("the faces' {}", unused.join(", ")));
     }
     let fault = |record| broken(element, record);
     for record in 0..element.count {
@@ -434,6 +511,7 @@ fn faces(source: &mut Source, element: &Element, to: &mut Polygons, warnings: &m
             }
             to.ends.push(to.corners.len());
         }
+        source.end_record();
     }
     Ok(())
 }
@@ -445,10 +523,25 @@ fn faces(source: &mut Source, element: &Element, to: &mut Polygons, warnings: &m
 /// # Errors
 /// Those of `out`.
 pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
-    write_header(mesh, out)?;
+    write_about(mesh, DVec3::ZERO, out)
+}
+
+/// [`write`] with `origin` added to all positions, which are doubles then unless it is zero.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_about(mesh: &TriMesh, origin: DVec3, out: &mut dyn Write) -> std::io::Result<()> {
+    let double = origin != DVec3::ZERO;
+    write_header(mesh, double, out)?;
     let floats = |out: &mut dyn Write, values: &[f32]| values.iter().try_for_each(|x| out.write_all(&x.to_le_bytes()));
     for i in 0..mesh.positions.len() {
-        floats(out, &mesh.positions[i])?;
+        match double {
+            true => {
+                let p = DVec3::from(mesh.positions[i].map(f64::from)) + origin;
+                p.to_array().iter().try_for_each(|x| out.write_all(&x.to_le_bytes()))?;
+            }
+            false => floats(out, &mesh.positions[i])?,
+        }
         if let Some(normals) = &mesh.normals {
             floats(out, &normals[i])?;
         }
@@ -466,11 +559,11 @@ pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     Ok(())
 }
 
-fn write_header(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
+fn write_header(mesh: &TriMesh, double: bool, out: &mut dyn Write) -> std::io::Result<()> {
     let index = if mesh.positions.len() > i32::MAX as usize { "uint" } else { "int" };
     write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.positions.len())?;
     for (there, kind, names) in [
-        (true, "float", &["x", "y", "z"][..]),
+        (true, if double { "double" } else { "float" }, &["x", "y", "z"][..]),
         (mesh.normals.is_some(), "float", &["nx", "ny", "nz"]),
         (mesh.uvs.is_some(), "float", &["s", "t"]),
         (mesh.colors.is_some(), "uchar", &["red", "green", "blue"]),

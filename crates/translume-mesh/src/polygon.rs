@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 const LARGEST_CLIPPED: usize = 1024;
 
 /// Calls `emit` with corner numbers of `n - 2` triangles that cover the polygon `corner(0..n)`, wound as it is.
-pub(crate) fn triangulate(n: usize, corner: impl Fn(usize) -> [f32; 3], mut emit: impl FnMut([usize; 3])) {
+pub(crate) fn triangulate(n: usize, corner: impl Fn(usize) -> [f64; 3], mut emit: impl FnMut([usize; 3])) {
     if n == 3 {
         return emit([0, 1, 2]);
     }
@@ -20,8 +20,8 @@ pub(crate) fn triangulate(n: usize, corner: impl Fn(usize) -> [f32; 3], mut emit
 }
 
 /// The polygon on the plane of its Newell normal, counter-clockwise.
-fn project(n: usize, corner: &impl Fn(usize) -> [f32; 3]) -> Vec<DVec2> {
-    let at = |i: usize| DVec3::from(corner(i % n).map(f64::from));
+fn project(n: usize, corner: &impl Fn(usize) -> [f64; 3]) -> Vec<DVec2> {
+    let at = |i: usize| DVec3::from(corner(i % n));
     let normal: DVec3 = (0..n).map(|i| (at(i) - at(0)).cross(at(i + 1) - at(0))).sum();
     let normal = normal.try_normalize().unwrap_or(DVec3::Z);
     let (s, t) = normal.any_orthonormal_pair();
@@ -78,7 +78,7 @@ mod tests {
         let (mut signed, mut absolute) = (0.0, 0.0);
         triangulate(
             p.len(),
-            |i| p[i],
+            |i| p[i].map(f64::from),
             |[a, b, c]| {
                 let v = |i: usize| DVec2::new(f64::from(p[i][0]), f64::from(p[i][1]));
                 let twice = (v(b) - v(a)).perp_dot(v(c) - v(a));
@@ -107,7 +107,7 @@ mod tests {
         for n in [3, 4, 5, 50, LARGEST_CLIPPED + 1] {
             for nan in [false, true] {
                 let mut count = 0;
-                let corner = |i: usize| [if nan && i == 2 { f32::NAN } else { (i * i % 17) as f32 }, i as f32, 0.0];
+                let corner = |i: usize| [if nan && i == 2 { f64::NAN } else { (i * i % 17) as f64 }, i as f64, 0.0];
                 triangulate(n, corner, |_| count += 1);
                 assert_eq!(count, n - 2);
             }

@@ -6,7 +6,9 @@
 use crate::error::{Fault, Result, invalid};
 use crate::files::{Loaded, Part};
 use crate::mesh::TriMesh;
+use crate::origin;
 use flate2::read::ZlibDecoder;
+use glam::DVec3;
 use std::io::Read;
 use std::path::Path;
 
@@ -25,7 +27,7 @@ const DOUBLE: u32 = 0x2000;
 /// [`crate::Error::Invalid`] naming the shape that is damaged, or when there is no shape `which`;
 /// [`crate::Error::Unsupported`] for other versions.
 pub fn read(path: &Path, bytes: &[u8], which: Option<usize>) -> Result<Loaded> {
-    let parse = || -> Parsed<Vec<Part>> {
+    let parse = || -> Parsed<Vec<(Part, Vec<[f64; 3]>)>> {
         let offsets = offsets(bytes)?;
         let shapes = match which {
             Some(i) if i >= offsets.len() => return invalid(format!("no shape {i}: the file has {}", offsets.len())),
@@ -39,8 +41,15 @@ pub fn read(path: &Path, bytes: &[u8], which: Option<usize>) -> Result<Loaded> {
         let end = |i: usize| offsets.get(i + 1).copied().unwrap_or(bytes.len()).min(bytes.len());
         shapes.map(|i| shape(path, &bytes[..end(i)], offsets[i], i)).collect()
     };
-    let parts = parse().map_err(|fault| fault.at(path))?;
-    Ok(Loaded { parts, ..Loaded::default() })
+    let mut shapes = parse().map_err(|fault| fault.at(path))?;
+    let all = shapes.iter().flat_map(|s| &s.1).map(|p| DVec3::from(*p));
+    let origin = origin::of(all).unwrap_or(DVec3::ZERO);
+    if origin != DVec3::ZERO {
+        for (part, exact) in &mut shapes {
+            part.mesh.positions = exact.iter().map(|p| (DVec3::from(*p) - origin).as_vec3().into()).collect();
+        }
+    }
+    Ok(Loaded { parts: shapes.into_iter().map(|s| s.0).collect(), origin, ..Loaded::default() })
 }
 
 /// The offset table, its length known from the last four bytes.
@@ -68,7 +77,8 @@ fn head(bytes: &[u8], offset: usize) -> Parsed<u16> {
     }
 }
 
-fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part> {
+/// A shape, and its positions as they are stored, where not all are single precision.
+fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<(Part, Vec<[f64; 3]>)> {
     let version = head(bytes, offset)?;
     let packed = &bytes[offset + 4..];
     // Deflate expands at most some 1032 times; no mesh worth its name needs that, so large files get less.
@@ -82,11 +92,9 @@ fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part>
     if vertices > u64::from(u32::MAX) {
         return Err(Fault::Unsupported(format!("shape {index} has {vertices} vertices; 32-bit indices do not reach")));
     }
-    let mut floats = |wanted: bool| -> Parsed<Option<Vec<[f32; 3]>>> {
-        wanted.then(|| stream.floats::<3>(vertices, double)).transpose()
-    };
-    let positions = floats(true)?.unwrap_or_default();
-    let normals = floats(flags & NORMALS != 0)?;
+    let exact = stream.doubles::<3>(vertices, double)?;
+    let positions = exact.iter().map(|p| p.map(|x| x as f32)).collect();
+    let normals = (flags & NORMALS != 0).then(|| stream.floats::<3>(vertices, double)).transpose()?;
     let uvs = (flags & TEXCOORDS != 0).then(|| stream.floats::<2>(vertices, double)).transpose()?;
     let colors = (flags & COLORS != 0).then(|| stream.floats::<3>(vertices, double)).transpose()?;
     let indices = stream.triangles(triangles)?;
@@ -99,7 +107,7 @@ fn shape(path: &Path, bytes: &[u8], offset: usize, index: usize) -> Parsed<Part>
     if !name.is_empty() {
         part.name = name;
     }
-    Ok(part)
+    Ok((part, exact))
 }
 
 struct Stream<'a> {
@@ -156,14 +164,18 @@ impl Stream<'_> {
     }
 
     fn floats<const N: usize>(&mut self, count: u64, double: bool) -> Parsed<Vec<[f32; N]>> {
+        Ok(self.doubles::<N>(count, double)?.into_iter().map(|v| v.map(|x| x as f32)).collect())
+    }
+
+    fn doubles<const N: usize>(&mut self, count: u64, double: bool) -> Parsed<Vec<[f64; N]>> {
         let width = if double { 8 } else { 4 };
         let mut values = Vec::new();
         self.records(count, N * width, |raw| {
             values.push(std::array::from_fn(|i| {
                 let raw = &raw[i * width..];
                 match (raw.first_chunk::<4>(), raw.first_chunk::<8>()) {
-                    (_, Some(&raw)) if double => f64::from_le_bytes(raw) as f32,
-                    (Some(&raw), _) => f32::from_le_bytes(raw),
+                    (_, Some(&raw)) if double => f64::from_le_bytes(raw),
+                    (Some(&raw), _) => f64::from(f32::from_le_bytes(raw)),
                     _ => 0.0, // not reached: a record holds N values
                 }
             }));

@@ -114,9 +114,9 @@ fn obj_refusals_name_the_line() {
     for (text, why) in [
         ("v 0 0 0\nv 1 0 x\n", "line 2"),
         ("v 0 0 0\n\nf 1 2 3\n", "line 3: a face uses vertex 2, there are 1"),
-        ("v 0 0 0\r\n\r\nf 1 1 0\r\n", "line 3"),
+        ("v 0 0 0\r\n\r\nf 1 1 0\r\n", "line 3: a face uses vertex 0"),
         ("v 0 0 0\nf 1 1 -2\n", "line 2"),
-        ("v 0 0 0\nf 1/1 1 1\n", "texture coordinate"),
+        ("v 0 0 0\nf 1/x 1 1\n", "line 2: face corner"),
         ("v 0 0 0\nf 1 1 99999999999999999999999\n", "line 2"),
         ("hello\n", "no vertices"),
     ] {

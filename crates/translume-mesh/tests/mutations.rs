@@ -6,7 +6,7 @@ mod common;
 use common::*;
 use std::path::Path;
 use translume_core::rng::Pcg32;
-use translume_mesh::{Format, Loaded, Result, gltf, obj, ply, serialized};
+use translume_mesh::{Format, Loaded, Result, gltf, obj, off, ply, serialized, stl};
 
 /// Every format, named by the extension that a file of it has.
 fn samples() -> Vec<(&'static str, Vec<u8>)> {
@@ -24,6 +24,13 @@ fn samples() -> Vec<(&'static str, Vec<u8>)> {
         ("obj", b"v 0 0 0\nv 2 0 0\nv 2 2 0\nv .5 .5 0\nv 0 2 0\nf -5 -4 -3 \\\n -2 -1\n".to_vec()),
         ("glb", glb(&mesh)),
         ("gltf", gltf_text(&mesh)),
+        ("stl", {
+            let mut bytes = Vec::new();
+            stl::write(&mesh, &mut bytes).unwrap();
+            bytes
+        }),
+        ("stl", b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n".to_vec()),
+        ("off", b"COFF\n3 1 0\n0 0 0 255 0 0 255\n1 0 0 0 255 0 255\n0 1 0 0 0 255 255\n3 0 1 2 9\n".to_vec()),
         ("serialized", serialized(&mesh, 4, false)),
         ("serialized", serialized(&mesh, 3, true)),
     ]
@@ -36,6 +43,8 @@ fn parse(extension: &str, bytes: Vec<u8>) -> Result<Loaded> {
         Some(Format::Ply) => ply::read(&path, &bytes),
         Some(Format::Obj) => obj::read(&path, &bytes),
         Some(Format::Gltf) => gltf::Asset::from_bytes(&path, bytes)?.flatten(),
+        Some(Format::Stl) => stl::read(&path, &bytes),
+        Some(Format::Off) => off::read(&path, &bytes),
         Some(Format::Serialized) => serialized::read(&path, &bytes, None),
         None => panic!("the extension tells the format"),
     }
@@ -138,6 +147,12 @@ fn glb_survives() {
 #[test]
 fn gltf_survives() {
     bombard("gltf", &of_format("gltf"), 10_000, |_, bytes| bytes);
+}
+
+#[test]
+fn stl_and_off_survive() {
+    bombard("stl", &of_format("stl"), 10_000, |_, bytes| bytes);
+    bombard("off", &of_format("off"), 10_000, |_, bytes| bytes);
 }
 
 #[test]

@@ -183,8 +183,9 @@ impl Builder {
             return Ok(mesh.clone());
         }
         let path = &key.path;
-        let mut loaded =
-            translume_mesh::read(path, &ReadOptions { part: key.part, asset_roots: self.options.asset_roots.clone() })?;
+        let options =
+            ReadOptions { part: key.part, asset_roots: self.options.asset_roots.clone(), ..ReadOptions::default() };
+        let mut loaded = translume_mesh::read(path, &options)?;
         for warning in std::mem::take(&mut loaded.warnings) {
             self.scene.warnings.push(format!("{}: {warning}", path.display()));
         }

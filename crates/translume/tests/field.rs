@@ -324,7 +324,7 @@ fn pictures_from_several_views_are_seen_from_between() {
     let one: String =
         list.lines().filter(|line| !line.contains(" v") || line.contains(" v6")).map(|l| format!("{l}\n")).collect();
     std::fs::write(here.join("btf/lights.csv"), one.replace("file,x,y,z,vx,vy,vz", "file,x,y,z")).unwrap();
-    assert!(run(&["field", "compress", "btf", "-o", "p.glb"]).error(1).contains("is not there"));
+    assert!(run(&["field", "compress", "btf", "-o", "p.glb"]).error(1).contains("pictures is there"));
     let short = |line: &str| line.split(',').take(4).collect::<Vec<_>>().join(",") + "\n";
     std::fs::write(here.join("btf/lights.csv"), one.lines().map(short).collect::<String>()).unwrap();
     run(&["field", "compress", "btf", "-o", "p.glb", "--terms", "4"]).ok();
@@ -413,11 +413,11 @@ fn stacks_that_are_none_are_refused() {
     let lp = here.join("stack/dome.lp");
     let text = std::fs::read_to_string(&lp).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    // A direction is missing; a picture is missing; one picture alone.
+    // A direction is missing; all pictures are missing; one picture alone.
     std::fs::write(&lp, text.replace(lines[3], "p 02.png")).unwrap();
     refused(here, &[], 1, "dome.lp: line 4: a picture and its direction x y z are wanted");
-    std::fs::write(&lp, text.replace("p 03", "q 03")).unwrap();
-    refused(here, &[], 1, "the picture q 03.png is not there");
+    std::fs::write(&lp, text.replace("p 0", "q 0")).unwrap();
+    refused(here, &[], 1, "none of its 6 pictures is there: q 00.png");
     std::fs::write(&lp, format!("1\n{}\n", lines[1])).unwrap();
     refused(here, &[], 1, "1 pictures with lights: a field needs 3 or more");
     std::fs::remove_file(&lp).unwrap();
@@ -570,4 +570,56 @@ fn a_ball_gives_the_directions_of_the_lights() {
     let error = run(&["field", "lights", ".", "--ball", "500,32,28", "-o", "b.lp"]).error(1);
     assert!(error.contains("b0.exr: the ball at (500, 32)"), "{error}");
     assert!(run(&["field", "lights", ".", "--ball", "32,32", "-o", "b.lp"]).error(2).contains("x,y,r"));
+}
+
+/// Lists of other machines: read, with a word about what is odd; and without one, where nothing is.
+#[test]
+fn lists_of_other_machines_are_read_and_what_is_odd_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    stack(here, 8, "png");
+    let lp = here.join("stack/dome.lp");
+    let text = std::fs::read_to_string(&lp).unwrap();
+    let compress = |list: &[u8]| {
+        std::fs::write(&lp, list).unwrap();
+        let run = translume(here, &["field", "compress", "stack", "-o", "f.glb", "--terms", "4", "--json"]);
+        let said = run.stderr.clone();
+        (json(&run.ok())["lights"].as_u64().unwrap(), said)
+    };
+    let silent = |list: &[u8]| {
+        let (lights, said) = compress(list);
+        assert!(lights == 8 && !said.contains("warning"), "{lights}: {said}");
+    };
+    silent(text.as_bytes());
+    silent(text.replace('.', ",").replace(",png", ".png").as_bytes());
+    silent(&text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
+    silent(&text.replace("p 0", "C:\\f\u{fc}r\\p 0").chars().map(|c| c as u8).collect::<Vec<u8>>());
+    let odd = |list: &str, lights: u64, word: &str| {
+        let (found, said) = compress(list.as_bytes());
+        assert!(found == lights && said.contains(word), "{found}: {said} instead of {word}");
+    };
+    odd(&text.replace(".png", ".JPG"), 8, "8 names differ from the pictures in case or ending");
+    odd(&text.replace("p 03", "q 03"), 7, "1 of its pictures are missing and left out: q 03.png");
+    odd(&text.replacen('8', "9", 1), 8, "9 pictures announced, 8 listed");
+    let first = text.lines().nth(1).unwrap();
+    odd(&text.replace(first, "p 00.png 0.6 0 -0.8"), 8, "1 of 8 lights are below the horizon");
+    assert!(!std::fs::read_to_string(&lp).unwrap().contains("warning"));
+    std::fs::write(&lp, text.replace(first, "p 00.png 0 0 0")).unwrap();
+    refused(here, &[], 1, "line 2: (0, 0, 0) is no direction");
+}
+
+#[test]
+fn a_ball_that_is_not_there_is_refused_and_lists_hold_no_absolute_paths() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    stack(here, 4, "exr");
+    let error = translume(here, &["field", "lights", "stack", "--ball", "20,16,12", "-o", "b.lp"]).error(1);
+    assert!(error.contains("shows no light: is it there?"), "{error}");
+    assert!(!here.join("b.lp").exists());
+    let absolute = here.join("stack");
+    let known =
+        ["field", "lights", &absolute.to_string_lossy(), "--lights", "stack/dome.lp", "--strengths", "-o", "l.csv"];
+    translume(here, &known).ok();
+    let list = std::fs::read_to_string(here.join("l.csv")).unwrap();
+    assert!(list.contains("\nstack/p 00.exr,") && !list.contains(&*here.to_string_lossy()), "{list}");
 }

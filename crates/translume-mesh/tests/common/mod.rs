@@ -1,4 +1,5 @@
 //! One small mesh, and its bytes in formats that are read but not written.
+#![allow(dead_code, reason = "each test file uses a part of it")]
 
 use translume_mesh::TriMesh;
 

@@ -223,6 +223,14 @@ fn from_ball(args: &LightsArgs, ball: Ball, ctx: &Context) -> anyhow::Result<(Ve
         found.push(probe::light(path, ball, surface)?);
         bar.inc(1);
     }
+    let same = |l: &probe::ProbeLight| (0..3).all(|c| (l.direction[c] - found[0].direction[c]).abs() < 0.01);
+    if found.len() > 2 && found.iter().all(same) {
+        let [x, y, z] = found[0].direction;
+        ctx.warn(format_args!(
+            "{}: every picture shows the light from the same side, ({x:.2}, {y:.2}, {z:.2}): is that the ball, and did the light move?",
+            args.folder.display()
+        ));
+    }
     let shots = named.iter().zip(&found).map(|(p, l)| Shot::new(p.clone(), l.direction)).collect();
     Ok((shots, found.iter().map(|l| l.strength).collect()))
 }

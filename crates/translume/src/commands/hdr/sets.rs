@@ -114,7 +114,7 @@ fn split(name: &str, files: Vec<PathBuf>, how: Grouping, args: &Args) -> anyhow:
 fn list(args: &Args) -> anyhow::Result<Option<Vec<(String, f64)>>> {
     let Some(path) = &args.list else { return Ok(None) };
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let list = parse_list(&String::from_utf8_lossy(&bytes)).with_context(|| path.display().to_string())?;
+    let list = parse_list(&translume_image::text::decode(&bytes)).with_context(|| path.display().to_string())?;
     Ok(Some(list))
 }
 

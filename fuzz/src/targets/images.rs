@@ -1,0 +1,56 @@
+//! Pictures of every format.
+
+use super::Said;
+use crate::input::Input;
+use std::path::Path;
+use translume_image::{
+    Codes, Format, Picture, Samples, TextureCodes, decode_codes, decode_picture, decode_texture, read_exr_channels,
+    read_exr_parts, read_layer, read_picture,
+};
+
+pub(super) fn run(folder: &Path, input: &Input) -> Said {
+    let Some((name, bytes)) = input.files.first() else { return Said { accepted: false, text: String::new() } };
+    let path = folder.join(name);
+    let picture = decode_picture(bytes, &path);
+    let codes = decode_codes(bytes, &path);
+    let from_file = read_picture(&path);
+    if let Ok(p) = &picture {
+        sound(p);
+    }
+    if let Ok(c) = &codes {
+        let n = match &c.samples {
+            Samples::U8(v) => v.len(),
+            Samples::U16(v) => v.len(),
+            Samples::F32(v) => v.len(),
+        };
+        assert_eq!(n, 3 * c.width * c.height, "codes of {} × {}", c.width, c.height);
+        upright(c);
+    }
+    assert_eq!(picture.is_ok(), from_file.is_ok(), "from memory and from the file");
+    decode_texture(bytes, &path, TextureCodes::Srgb).iter().for_each(sound);
+    let said = Said::of(&picture, |_| String::new());
+    if Format::of(bytes) != Some(Format::Exr) {
+        return said;
+    }
+    let parts = read_exr_parts(&path);
+    for (i, _) in parts.iter().flatten().enumerate().take(4) {
+        if let Ok(planes) = read_exr_channels(&path, i) {
+            let n = planes.planes.first().map_or(0, |p| p.1.len());
+            assert!(planes.planes.iter().all(|p| p.1.len() == n), "planes of one size");
+        }
+    }
+    read_layer(&path, "albedo").iter().for_each(sound);
+    said.and(Said::of(&parts, |p| format!("{} parts", p.len())))
+}
+
+fn upright(codes: &Codes) {
+    assert!(codes.width > 0 && codes.height > 0, "a picture without pixels");
+}
+
+fn sound(picture: &Picture) {
+    let (w, h) = picture.pixels.dimensions();
+    assert!(w > 0 && h > 0, "a picture without pixels");
+    if let Some(alpha) = &picture.alpha {
+        assert_eq!(alpha.len(), w as usize * h as usize, "alpha of {w} × {h}");
+    }
+}
