@@ -51,7 +51,7 @@ fn write(path: &Path, half: bool) -> anyhow::Result<u64> {
     let hits: Vec<[f64; 3]> =
         (0..POSITIONS).map(|i| [0.0, (i % 10) as f64 * 4.0 - 18.0, (i / 10) as f64 * 4.0 - 10.0]).collect();
     let channel =
-        |name: &str| Channel { name: name.into(), wavelength_nm: 550.0, white_balance: 1.0, noise_floor: 1e-6 };
+        |name: &str| Channel { name: name.into(), wavelength_nm: Some(550.0), white_balance: 1.0, noise_floor: 1e-6 };
     let rig = Rig {
         provenance: json!({ "synthetic": true }),
         ..Rig::new(

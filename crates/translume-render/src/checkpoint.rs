@@ -348,9 +348,16 @@ mod tests {
 
     const IDENTITY: Identity = Identity { fingerprint: u64::MAX - 1, seed: u64::MAX };
 
+    fn splats(sum: i128, square: i128) -> crate::splat::Splats {
+        let mut splats = crate::splat::Splats::new(340, true, 1.0);
+        splats.sums.fill([sum; 3]);
+        splats.squares.fill([square; 3]);
+        splats
+    }
+
     fn film(value: f64) -> Film {
         let mut film = Film::new([20, 17], &[Aov::Albedo, Aov::Variance]).unwrap();
-        film.splats = Some(crate::splat::Splats { sums: vec![[7; 3]; 340], squares: vec![[-1; 3]; 340] });
+        film.splats = Some(splats(7, -1));
         for (i, tile) in film.tiles.iter_mut().enumerate() {
             tile.samples = i as u64;
             tile.sums.iter_mut().flatten().for_each(|v| *v = value);
@@ -360,7 +367,7 @@ mod tests {
 
     fn empty() -> Film {
         let mut film = film(0.0);
-        film.splats = Some(crate::splat::Splats { sums: vec![[0; 3]; 340], squares: vec![[0; 3]; 340] });
+        film.splats = Some(splats(0, 0));
         film
     }
 

@@ -186,6 +186,7 @@ impl Builder {
         let options =
             ReadOptions { part: key.part, asset_roots: self.options.asset_roots.clone(), ..ReadOptions::default() };
         let mut loaded = translume_mesh::read(path, &options)?;
+        crate::files::note(path);
         for warning in std::mem::take(&mut loaded.warnings) {
             self.scene.warnings.push(format!("{}: {warning}", path.display()));
         }
@@ -239,7 +240,7 @@ impl Builder {
         if let Some(image) = self.images.get(&(path.to_owned(), raw)) {
             return Ok(image.clone());
         }
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        let bytes = crate::files::bytes(path)?;
         self.decoded_image(&bytes, path, raw)
     }
 

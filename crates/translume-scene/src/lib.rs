@@ -19,6 +19,7 @@ mod builder;
 mod check;
 pub mod emitter;
 mod error;
+mod files;
 pub mod gltf;
 pub mod material;
 pub mod medium;
@@ -62,6 +63,12 @@ pub fn grid_bytes(size: [usize; 3], channels: usize, corners: [glam::DVec3; 2], 
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] for damaged files and [`Error::Unsupported`] for other formats and features.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
+    let (scene, files) = files::recorded(|| load_by_kind(path, options));
+    Ok(Scene { files, ..scene? })
+}
+
+fn load_by_kind(path: &Path, options: &LoadOptions) -> Result<Scene> {
+    files::check(path)?;
     let mut head = [0; 64];
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
     let length = std::io::Read::read(&mut file, &mut head).map_err(|e| Error::io(path, e))?;

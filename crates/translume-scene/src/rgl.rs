@@ -14,7 +14,7 @@ type Found<T> = std::result::Result<T, String>;
 
 /// Reads a file.
 pub(crate) fn read(path: &Path) -> Result<Measured> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = crate::files::bytes(path)?;
     parse(&bytes).map_err(|what| Error::invalid(path, None, what))
 }
 

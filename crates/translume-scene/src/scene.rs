@@ -53,6 +53,8 @@ pub struct Scene {
     pub integrator: Integrator,
     /// What was odd and how it was dealt with, a line each.
     pub warnings: Vec<String>,
+    /// All files that were read.
+    pub files: Vec<std::path::PathBuf>,
 }
 
 /// A surface with its material.

@@ -20,7 +20,7 @@ pub(crate) struct Loaded {
 const HEAD: usize = 48;
 
 pub(crate) fn read(path: &Path) -> Result<Loaded> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = crate::files::bytes(path)?;
     parse(&bytes).map_err(|what| Error::invalid(path, None, what))
 }
 

@@ -46,6 +46,12 @@ fn an_output_that_is_an_input_is_refused_by_any_name() {
     refused(&["hdr", "a.png", "b.png", "--ev", "0,2", "-o", "x.exr", "--mask", "link.png"]);
     refused(&["render", "s.exr", "-o", "s.exr"]);
     refused(&["render", "s.exr", "-o", "x.exr", "--checkpoint", "s.exr"]);
+    // What the scene reads counts too.
+    let sky = SCENE.replace("constant\"/>", "envmap\"><string name=\"filename\" value=\"sub/../a.png\"/></emitter>");
+    fs::write(at("sky.xml"), sky).unwrap();
+    symlink("a.png", at("sky.exr")).unwrap();
+    refused(&["render", "sky.xml", "-o", "sky.exr"]);
+    refused(&["render", "sky.xml", "-o", "x.exr", "--preview", "hard.png"]);
     refused(&["mesh", "convert", "m.ply", "-o", "m.ply"]);
     refused(&["merge", "s.exr", "-o", "s.exr"]);
     let error = translume(dir.path(), &["image", "info", "a.png", "--log-file", "a.png"]).error(2);

@@ -65,6 +65,9 @@ const WIDTH: u32 = 1280;
 /// that are not known here, unless `options.lenient`.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let asset = Asset::open(path, &options.asset_roots).map_err(Error::from)?;
+    crate::files::note(path);
+    let uris = asset.json["buffers"].as_array().into_iter().flatten().filter_map(|b| b["uri"].as_str());
+    uris.filter_map(|uri| asset.file(uri).ok()).filter(|f| f.is_file()).for_each(|f| crate::files::note(&f));
     let mut loader = Loader {
         builder: Builder::new(path, options),
         asset,

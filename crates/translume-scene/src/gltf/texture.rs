@@ -85,7 +85,7 @@ impl Loader {
                 match self.builder.known_image(&path, raw) {
                     Some(image) => Ok(image),
                     None => {
-                        let bytes = std::fs::read(&path).map_err(|e| fault(Error::io(&path, e)))?;
+                        let bytes = crate::files::bytes(&path).map_err(fault)?;
                         self.builder.decoded_image(&bytes, &path, raw)
                     }
                 }

@@ -11,7 +11,7 @@ use translume_mesh::TriMesh;
 /// The mesh with the attribute `name` of its file as colours; `None`: it has none.
 pub(super) fn colored(mesh: &Arc<TriMesh>, path: &Path, name: &str) -> Option<Arc<TriMesh>> {
     let (element, name) = name.split_once('_')?;
-    let values = Ply::open(&std::fs::read(path).ok()?)?.values(element, name)?;
+    let values = Ply::open(&crate::files::bytes(path).ok()?)?.values(element, name)?;
     match element {
         "vertex" if values.len() == mesh.positions.len() => {
             Some(Arc::new(TriMesh { colors: Some(values), ..TriMesh::clone(mesh) }))

@@ -32,6 +32,7 @@ impl Loader {
             let load = self.builder.options.bssrdf_loader;
             let load =
                 load.ok_or_else(|| object.place.unsupported("measured translucent objects are not read here"))?;
+            crate::files::note(&path);
             let model = load(&path).map_err(|what| object.place.invalid(what))?;
             let known = model.eta().unwrap_or(1.3);
             let eta = self.ior(object, "int_ior", known * AIR)? / self.ior(object, "ext_ior", AIR)?;

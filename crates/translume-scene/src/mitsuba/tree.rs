@@ -289,7 +289,7 @@ pub(crate) fn find(folders: &[PathBuf], name: &str, place: &Place) -> PathBuf {
 
 /// The file as UTF-8, or Latin-1 where it is not.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = crate::files::bytes(path)?;
     Ok(match String::from_utf8(bytes) {
         Ok(text) => text,
         Err(e) => e.into_bytes().iter().map(|&b| char::from(b)).collect(),

@@ -171,6 +171,8 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let options = super::load_options(args.lenient, args.set.clone(), &args.asset_root);
     let scene = Arc::new(super::load_scene(&args.scene, &options)?);
     scene.warnings.iter().for_each(|w| ctx.warn(w));
+    let read: Vec<&Path> = scene.files.iter().map(PathBuf::as_path).collect();
+    ctx.protect(&read, &outputs(&args))?;
     let world = World::new(scene.clone()).with_context(|| args.scene.display().to_string())?;
     let loaded = begun.elapsed();
     let (stored, placed) = scene.triangles();
@@ -214,7 +216,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
             None => path.clone(),
         };
         let (output, denoised) = (name_of(&args.output), args.denoise.as_ref().map(name_of));
-        ctx.protect(&inputs(&args), &[&*output])?;
+        ctx.protect(&read, &[&*output])?;
         let scene = format!("{:016x}", fingerprint(&scene, &format!("{pictured}, view {number}")));
         let reporter = Reporter { args: &args, ctx, identity, scene, output, denoised, stop: stop.clone() };
         let progress = reporter.watch(shot, &mut film, &until)?;
@@ -299,8 +301,7 @@ fn check_outputs(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     target::wants(&args.output, "exr", "picture")?;
     args.denoise.iter().try_for_each(|p| target::wants(p, "exr", "clean picture"))?;
     args.preview.iter().try_for_each(|p| Kind::of(p, &PREVIEWS, "preview").map(drop))?;
-    let more = [&args.denoise, &args.preview, &args.checkpoint].into_iter().flatten();
-    let outputs: Vec<&Path> = std::iter::once(&args.output).chain(more).map(PathBuf::as_path).collect();
+    let outputs = outputs(args);
     if args.camera_path.is_some() && outputs.iter().any(|o| atomic::is_stream(o)) {
         return Err(Usage("--camera-path writes a file for each frame: give names of files".into()).into());
     }
@@ -309,6 +310,12 @@ fn check_outputs(args: &Args, ctx: &Context) -> anyhow::Result<()> {
 
 /// Formats of previews.
 const PREVIEWS: [Kind; 2] = [Kind::Png, Kind::Jpeg];
+
+/// The files that are written, but for frames of a path.
+fn outputs(args: &Args) -> Vec<&Path> {
+    let more = [&args.denoise, &args.preview, &args.checkpoint].into_iter().flatten();
+    std::iter::once(&args.output).chain(more).map(PathBuf::as_path).collect()
+}
 
 /// The files that the command line names to be read.
 fn inputs(args: &Args) -> Vec<&Path> {
