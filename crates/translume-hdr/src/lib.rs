@@ -13,12 +13,14 @@ mod field;
 mod fill;
 mod ghost;
 mod global;
+mod grouping;
+mod lists;
 mod local;
+mod look;
 mod merge;
 mod plane;
 mod response;
 mod sampling;
-mod sets;
 pub mod simulate;
 mod warp;
 mod weight;
@@ -27,9 +29,11 @@ pub use align::{Aligned, Alignment};
 pub use exposure::{Exposure, check};
 pub use field::{Affine, Field, Grid};
 pub use ghost::GhostParams;
+pub use grouping::{Brackets, Fact, group, group_by_count};
+pub use lists::{parse_list, parse_seconds};
+pub use look::Look;
 pub use merge::Weights;
 pub use response::{NODES, Response};
-pub use sets::{Grouping, group, parse_list, parse_seconds};
 pub use weight::{Noise, spline};
 
 use exposure::Shot;
@@ -43,6 +47,9 @@ pub enum Error {
     /// The pictures are no bracket.
     #[error("{0}")]
     Bracket(String),
+    /// It is not clear which pictures form a bracket.
+    #[error("it is not clear which pictures belong together: {0}")]
+    Doubt(String),
     /// The response cannot be found or used.
     #[error("camera response: {0}")]
     Response(String),

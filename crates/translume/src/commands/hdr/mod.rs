@@ -182,7 +182,7 @@ struct Targets {
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(&args)?;
-    let sets = sets::collect(&args)?;
+    let sets = sets::collect(&args, ctx)?;
     let into_folder = names_folder(&args.output);
     if let [set] = &sets[..] {
         let targets = targets(&args, into_folder.then_some(&set.name));
