@@ -105,7 +105,8 @@ impl Series<'_> {
         ways.extend(self.by_pause());
         ways.extend(self.by_look());
         let mut doubt = None;
-        for way in ways {
+        // Pictures that all stand alone are no brackets.
+        for way in ways.into_iter().filter(|way| way.len() < n) {
             match way.iter().find_map(|run| self.doubt(run.clone())) {
                 None => return Ok(way),
                 Some(why) => doubt.get_or_insert(why),

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use translume_hdr::{Error, Exposure, Fact, Look, group, group_by_count, parse_list, parse_seconds};
-use translume_image::{Codes, Metadata, natural_key, read_codes};
+use translume_hdr::{Error, Exposure, Fact, Look, group, group_by_count, one_orientation, parse_list, parse_seconds};
+use translume_image::{Codes, Metadata, natural_key, read_codes, read_codes_alpha};
 
 /// The files of one bracket, in order.
 #[derive(Debug)]
@@ -169,22 +169,34 @@ fn lookup(list: &[(String, f64)], file: &Path) -> Option<f64> {
     list.iter().find(|(n, _)| Path::new(n).file_name().is_some_and(|n| n.to_string_lossy() == name)).map(|l| l.1)
 }
 
-/// Reads the pictures of a bracket and finds their exposures.
-pub(super) fn read(set: &Set, args: &Args, progress: &(dyn Fn(&str) + Sync)) -> anyhow::Result<Vec<Exposure>> {
+/// Reads the pictures of a bracket and finds their exposures; what had to be set right is told in words.
+pub(super) fn read(
+    set: &Set,
+    args: &Args,
+    progress: &(dyn Fn(&str) + Sync),
+) -> anyhow::Result<(Vec<Exposure>, Vec<String>)> {
     let files = &set.files;
-    let pictures: Vec<Codes> = files
+    let pictures: Vec<(Codes, Option<Vec<f32>>)> = files
         .par_iter()
         .map(|f| {
             progress(&f.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default());
-            Ok(read_codes(f)?)
+            Ok(read_codes_alpha(f)?)
         })
         .collect::<anyhow::Result<_>>()?;
-    let seconds = exposures(files, &pictures, args)?;
+    let seconds = exposures(files, pictures.iter().map(|p| &p.0.metadata), args)?;
     let named = files.iter().zip(pictures).zip(seconds);
-    Ok(named.map(|((f, codes), secs)| Exposure { name: f.display().to_string(), codes, secs }).collect())
+    let mut exposures: Vec<Exposure> = named
+        .map(|((f, (codes, alpha)), secs)| Exposure { name: f.display().to_string(), codes, alpha, secs })
+        .collect();
+    let said = one_orientation(&mut exposures);
+    Ok((exposures, said))
 }
 
-fn exposures(files: &[PathBuf], pictures: &[Codes], args: &Args) -> anyhow::Result<Vec<f64>> {
+fn exposures<'a>(
+    files: &[PathBuf],
+    facts: impl Iterator<Item = &'a Metadata> + Clone,
+    args: &Args,
+) -> anyhow::Result<Vec<f64>> {
     let counted = |n: usize, option: &str| match n == files.len() {
         true => Ok(()),
         false => Err(Usage(format!("{option} gives {n} exposures for {} pictures", files.len()))),
@@ -207,16 +219,17 @@ fn exposures(files: &[PathBuf], pictures: &[Codes], args: &Args) -> anyhow::Resu
             .collect();
     }
     // What only some files tell would distort the ratios: it counts for all or for none.
-    let all = |has: &dyn Fn(&Metadata) -> bool| pictures.iter().all(|p| has(&p.metadata));
-    let (with_iso, with_f) = (all(&|m| m.iso.is_some()), all(&|m| m.f_number.is_some()));
+    let all = |has: fn(&Metadata) -> bool| facts.clone().all(has);
+    let (with_iso, with_f) = (all(|m| m.iso.is_some()), all(|m| m.f_number.is_some()));
     files
         .iter()
-        .zip(pictures)
-        .map(|(f, p)| {
+        .zip(facts)
+        .map(|(f, own)| {
             let m = Metadata {
-                iso: p.metadata.iso.filter(|_| with_iso),
-                f_number: p.metadata.f_number.filter(|_| with_f),
-                ..p.metadata.clone()
+                iso: own.iso.filter(|_| with_iso),
+                f_number: own.f_number.filter(|_| with_f),
+                exposure_secs: own.exposure_secs,
+                ..Metadata::default()
             };
             m.relative_exposure().with_context(|| {
                 format!("{}: no exposure time in the file; give --exposures, --ev or --list", f.display())
