@@ -401,28 +401,8 @@ fn numbered_pictures(entries: &[PathBuf]) -> Vec<PathBuf> {
         !name.contains("mask") && is_picture(p)
     };
     let mut pictures: Vec<PathBuf> = entries.iter().filter(is_of_stack).cloned().collect();
-    pictures.sort_by_cached_key(|p| natural_key(&p.to_string_lossy()));
+    pictures.sort_by_cached_key(|p| translume_image::natural_key(&p.to_string_lossy()));
     pictures
-}
-
-/// Runs of digits count as numbers.
-fn natural_key(name: &str) -> Vec<(u64, String)> {
-    let mut key = vec![(0u64, String::new())];
-    let mut in_digits = false;
-    for c in name.chars() {
-        if let Some(d) = c.to_digit(10) {
-            if !in_digits {
-                key.push((0, String::new()));
-            }
-            let last = key.len() - 1;
-            key[last].0 = key[last].0.saturating_mul(10).saturating_add(u64::from(d));
-        } else {
-            let last = key.len() - 1;
-            key[last].1.push(c);
-        }
-        in_digits = c.is_ascii_digit();
-    }
-    key
 }
 
 #[cfg(test)]

@@ -30,8 +30,20 @@ pub struct Aligned {
     pub field: Field,
     /// Robust difference from the reference, in [0, 1]: as it was, with the global map, with the local field.
     pub cost: [f64; 3],
+    /// How far things moved where there is something to see.
+    pub motion: Motion,
     /// What a person should know, if anything.
     pub note: Option<String>,
+}
+
+/// Lengths of the displacement over the textured places that both pictures show, in pixels. Elsewhere (in the dark, in
+/// what is clipped, on bare walls) a displacement is a guess and says nothing of the camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// The mean, without the longest twentieth.
+    pub mean_px: f64,
+    /// What 95 of 100 places stay below.
+    pub p95_px: f64,
 }
 
 /// A global motion must lower the cost to this share of standing still to be believed.
@@ -49,7 +61,7 @@ pub(crate) fn align(
     how: Alignment,
     progress: &(dyn Fn(&str) + Sync),
 ) -> Vec<Aligned> {
-    let unmoved = || Aligned { field: Field::identity(), cost: [0.0; 3], note: None };
+    let unmoved = || Aligned { field: Field::identity(), cost: [0.0; 3], motion: Motion::default(), note: None };
     let mut out: Vec<Aligned> = shots.iter().map(|_| unmoved()).collect();
     if how == Alignment::Off {
         return out;
@@ -120,6 +132,12 @@ fn matched(shot: &Shot<'_>, partner: &Shot<'_>) -> Plane {
             }
         },
     );
+    if let Some(border) = &shot.border {
+        // Transparent and border pixels take the mean of the others: no light of their own, and little of an edge.
+        let shown = || out.values.iter().zip(border).filter(|(_, b)| !**b).map(|(v, _)| f64::from(*v));
+        let mean = (shown().sum::<f64>() / shown().count().max(1) as f64) as f32;
+        out.values.iter_mut().zip(border).filter(|(_, b)| **b).for_each(|(v, _)| *v = mean);
+    }
     out
 }
 
@@ -136,12 +154,12 @@ fn align_pair(reference: &Shot<'_>, through: &Field, shot: &Shot<'_>, how: Align
             "{}: shares too little of its range with {} to be aligned; left as it is",
             shot.name, reference.name
         );
-        return Aligned { field: Field::identity(), cost: [0.0; 3], note: Some(note) };
+        return Aligned { field: Field::identity(), cost: [0.0; 3], motion: Motion::default(), note: Some(note) };
     }
     let a = a.pyramid(global::COARSEST);
     let (affine, unmoved_cost, mut cost, mut note) = {
         let b = b.clone().pyramid(global::COARSEST);
-        global_motion(&a, &b, shot.name)
+        global_motion(&a, &b, shot.name, reference.name)
     };
     let mut field = Field { affine, grid: None };
     let global_cost = cost;
@@ -170,15 +188,61 @@ fn align_pair(reference: &Shot<'_>, through: &Field, shot: &Shot<'_>, how: Align
             shot.name, reference.name
         ));
     }
-    Aligned { field, cost: [unmoved_cost, global_cost, cost], note }
+    let motion = motion(&a[0], &field);
+    Aligned { field, cost: [unmoved_cost, global_cost, cost], motion, note }
+}
+
+/// Gradient of matched grey (per pixel) from which on a place has texture.
+const TEXTURE: f32 = 0.02;
+
+/// How far the textured places of `a` moved that the other picture, of the same size, shows too.
+fn motion(a: &Plane, field: &Field) -> Motion {
+    if field.is_identity() {
+        return Motion::default();
+    }
+    let step = (((a.width * a.height) as f64 / 60_000.0).sqrt() as usize).max(1);
+    let mut lengths: Vec<f32> = Vec::new();
+    for y in (0..a.height).step_by(step) {
+        for x in (0..a.width).step_by(step) {
+            let (px, py) = (x as isize, y as isize);
+            let gx = a.clamped(px + 1, py) - a.clamped(px - 1, py);
+            let gy = a.clamped(px, py + 1) - a.clamped(px, py - 1);
+            let (sx, sy) = field.source(x as f32, y as f32);
+            if 0.5 * gx.hypot(gy) > TEXTURE && a.contains(sx, sy) {
+                lengths.push((sx - x as f32).hypot(sy - y as f32));
+            }
+        }
+    }
+    if lengths.is_empty() {
+        return Motion::default();
+    }
+    let at = (lengths.len() * 95 / 100).min(lengths.len() - 1);
+    let p95 = *lengths.select_nth_unstable_by(at, f32::total_cmp).1;
+    let mean = lengths[..=at].iter().map(|l| f64::from(*l)).sum::<f64>() / (at + 1) as f64;
+    Motion { mean_px: mean, p95_px: f64::from(p95) }
 }
 
 /// The global map, or the identity when that explains the difference as well.
-fn global_motion(a: &[Plane], b: &[Plane], name: &str) -> (Affine, f64, f64, Option<String>) {
+fn global_motion(a: &[Plane], b: &[Plane], name: &str, reference: &str) -> (Affine, f64, f64, Option<String>) {
     let gradients: Vec<(Plane, Plane)> = a.iter().map(Plane::gradients).collect();
     let levels: Vec<Level<'_>> =
         a.iter().zip(b).zip(&gradients).map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other }).collect();
-    let m = global::estimate(&levels);
+    let mut m = global::estimate(&levels, false);
+    let mut agreement = global::agreement(a, b, &m);
+    if agreement < AGREES {
+        // Turned by more than hands do: dear, and therefore second.
+        let wide = global::estimate(&levels, true);
+        let found = global::agreement(a, b, &wide);
+        if found > agreement + 0.05 {
+            (m, agreement) = (wide, found);
+        }
+    }
+    let lost = (agreement < LOST).then(|| {
+        format!(
+            "{name}: no motion found that brings it onto {reference} (they agree by {agreement:.2} of 1): was it turned or \
+             moved too far, or is it of another scene? Its part of the result may be wrong"
+        )
+    });
     let unmoved = cost_of(&a[0], &b[0], |x, y| (x, y));
     let moved = cost_of(&a[0], &b[0], |x, y| apply(&m, x, y));
     let (w, h) = ((a[0].width - 1) as f32, (a[0].height - 1) as f32);
@@ -190,14 +254,18 @@ fn global_motion(a: &[Plane], b: &[Plane], name: &str) -> (Affine, f64, f64, Opt
         })
         .fold(0.0f32, f32::max);
     if most < STILL {
-        return (IDENTITY, unmoved, unmoved, None);
+        return (IDENTITY, unmoved, unmoved, lost);
     }
     if moved >= MUST_IMPROVE * unmoved {
         let note = format!("{name}: the best global motion ({most:.1} px) does not improve the match; left as it is");
-        return (IDENTITY, unmoved, unmoved, (most > 1.0 && unmoved > 0.15).then_some(note));
+        return (IDENTITY, unmoved, unmoved, lost.or((most > 1.0 && unmoved > 0.15).then_some(note)));
     }
-    (m, unmoved, moved, None)
+    (m, unmoved, moved, lost)
 }
+
+/// Agreement of the pictures' edges (0 to 1) that ends the search, and the one below which nothing was found.
+const AGREES: f64 = 0.5;
+const LOST: f64 = 0.35;
 
 /// Difference at which a matched grey value counts half.
 const HALF: f32 = 0.03;
@@ -206,7 +274,7 @@ const HALF: f32 = 0.03;
 fn cost_of(a: &Plane, b: &Plane, source: impl Fn(f32, f32) -> (f32, f32) + Sync) -> f64 {
     let step = (((a.width * a.height) as f64 / 120_000.0).sqrt() as usize).max(1);
     let rows: Vec<usize> = (0..a.height).step_by(step).collect();
-    let (sum, n) = rows
+    let sums: Vec<(f64, u32)> = rows
         .par_iter()
         .map(|&y| {
             let (mut sum, mut n) = (0.0f64, 0u32);
@@ -220,6 +288,33 @@ fn cost_of(a: &Plane, b: &Plane, source: impl Fn(f32, f32) -> (f32, f32) + Sync)
             }
             (sum, n)
         })
-        .reduce(|| (0.0, 0), |p, q| (p.0 + q.0, p.1 + q.1));
+        .collect();
+    // Row after row, whatever the number of threads: the last bits decide what motion is believed.
+    let (sum, n) = sums.iter().fold((0.0, 0), |p, q| (p.0 + q.0, p.1 + q.1));
     if n == 0 { 1.0 } else { sum / f64::from(n) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motion_is_that_of_textured_places() {
+        // Texture on the left, nothing on the right, where the field runs away.
+        let mut a = Plane::new(128, 96);
+        for y in 0..96 {
+            for x in 0..64 {
+                a.values[y * 128 + x] = if (x / 4 + y / 4) % 2 == 0 { 0.8 } else { 0.2 };
+            }
+        }
+        let mut grid = crate::field::Grid::zero(16, 128, 96);
+        for (k, node) in grid.nodes.iter_mut().enumerate() {
+            *node = if k % grid.nx < 5 { [3.0, 0.0] } else { [-40.0, 9.0] };
+        }
+        let field = Field { affine: IDENTITY, grid: Some(grid) };
+        assert!(field.longest(128, 96) > 40.0);
+        let m = motion(&a, &field);
+        assert!((m.mean_px - 3.0).abs() < 0.01 && (m.p95_px - 3.0).abs() < 0.01, "{m:?}");
+        assert_eq!(motion(&a, &Field::identity()), Motion::default());
+    }
 }

@@ -5,6 +5,8 @@ use crate::weight::spline;
 
 /// A code at or above this is clipped, whatever the histogram says (sources with a curve).
 pub(crate) const CLIPPED: f32 = 0.985;
+/// How far below the pile of its clipped pixels a picture counts as clipped.
+pub(crate) const BELOW_PILE: f32 = 2.5 / 255.0;
 /// A code at or below this is lost in black: cameras leave a pedestal of several codes, which says nothing of light.
 pub(crate) const BLACK: f32 = 0.035;
 
@@ -24,17 +26,17 @@ pub(crate) struct Decoder {
 /// What the values of a picture are.
 #[derive(Clone, Debug)]
 pub(crate) enum Kind {
-    /// Codes in [0, 1] through a response curve, clipped at `clip`.
+    /// Codes in [0, 1] through a response curve, clipped at `clip` of each channel.
     Curve {
         /// The curve.
         response: Response,
-        /// The code at which the camera clips, a little below where its histogram piles up.
-        clip: f32,
+        /// The codes at which the camera clips, a little below where the histograms of the channels pile up.
+        clip: [f32; 3],
     },
     /// Values proportional to exposure, clipped at `clip` (infinite if they are not).
     Float {
-        /// The value at which the picture is clipped.
-        clip: f32,
+        /// The values at which the channels are clipped.
+        clip: [f32; 3],
         /// A value that fills the range, for weights: the clip, or the largest value.
         full: f32,
     },
@@ -68,10 +70,25 @@ impl Decoder {
 
     /// Whether the value is a lower bound only.
     #[inline]
-    pub(crate) fn is_clipped(&self, u: f32) -> bool {
+    pub(crate) fn is_clipped(&self, channel: usize, u: f32) -> bool {
+        u >= self.clip(channel)
+    }
+
+    /// The value from which on the channel is clipped; infinite if it is not.
+    #[inline]
+    pub(crate) fn clip(&self, channel: usize) -> f32 {
         match self.kind {
-            Kind::Curve { clip, .. } => u >= clip,
-            Kind::Float { clip, .. } => u >= clip * 0.999,
+            Kind::Curve { clip, .. } => clip[channel],
+            Kind::Float { clip, .. } => clip[channel] * 0.999,
+        }
+    }
+
+    /// The value at which the clipped pixels of a channel pile up.
+    pub(crate) fn white(&self, channel: usize) -> f32 {
+        match self.kind {
+            Kind::Curve { clip, .. } if clip[channel] < CLIPPED => clip[channel] + BELOW_PILE,
+            Kind::Curve { .. } => 1.0,
+            Kind::Float { clip, .. } => clip[channel],
         }
     }
 
@@ -89,20 +106,27 @@ impl Decoder {
     pub(crate) fn interval(&self, channel: usize, low: f32, high: f32) -> (f32, f32) {
         match &self.kind {
             Kind::Curve { response, clip } => {
+                let clip = clip[channel];
                 // Cameras compress highlights near the end of the range by more than any one curve.
                 let shoulder = SHOULDER * (low - (clip - 0.085)).max(0.0);
-                let (low, high) = (low.min(*clip) - self.blur_at(low) - shoulder, high + self.blur_at(high));
+                let (low, high) = (low.min(clip) - self.blur_at(low) - shoulder, high + self.blur_at(high));
                 let lo = if low <= BLACK { f32::NEG_INFINITY } else { response.log_exposure(channel, low) };
-                let hi = if high >= *clip { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
+                let hi = if high >= clip { f32::INFINITY } else { response.log_exposure(channel, high.max(BLACK)) };
                 (lo, hi)
             }
             Kind::Float { clip, full } => {
+                let clip = clip[channel];
+                let clipped = high >= clip * 0.999;
                 let (low, high) = (self.encoded(low), self.encoded(high));
                 let (low, top) = (low - self.blur_at(low), high + self.blur_at(high));
                 let value = |e: f32| full.ln() + GAMMA * e.ln();
                 let black = FLOAT_FLOOR.powf(1.0 / GAMMA);
                 let lo = if low <= black { f32::NEG_INFINITY } else { value(low) };
-                let hi = if clip.is_finite() && top >= 0.999 { f32::INFINITY } else { value(top.max(black)) };
+                let hi = if clipped || clip.is_finite() && top >= self.encoded(clip) {
+                    f32::INFINITY
+                } else {
+                    value(top.max(black))
+                };
                 (lo, hi)
             }
         }
@@ -118,9 +142,10 @@ impl Decoder {
     pub(crate) fn useful_range(&self, channel: usize) -> (f32, f32) {
         match &self.kind {
             Kind::Curve { response, clip } => {
-                (response.log_exposure(channel, 0.03), response.log_exposure(channel, clip - 0.02))
+                (response.log_exposure(channel, 0.03), response.log_exposure(channel, clip[channel] - 0.02))
             }
             Kind::Float { clip, full } => {
+                let clip = clip[channel];
                 ((full * 4e-3).ln(), if clip.is_finite() { (clip * 0.97).ln() } else { f32::INFINITY })
             }
         }
@@ -136,10 +161,10 @@ impl Decoder {
 
     /// The thesis' weight of a value; an unclipped float picture has no bad end at the top.
     #[inline]
-    pub(crate) fn spline_weight(&self, u: f32) -> f32 {
+    pub(crate) fn spline_weight(&self, channel: usize, u: f32) -> f32 {
         let e = self.encoded(u);
         match self.kind {
-            Kind::Float { clip, .. } if clip.is_infinite() && e > 0.5 => 1.0,
+            Kind::Float { clip, .. } if clip[channel].is_infinite() && e > 0.5 => 1.0,
             _ => spline(e),
         }
     }

@@ -1,7 +1,8 @@
 //! One picture of a bracket: its codes, its relative exposure and the part of it that is picture.
 
+use crate::clip;
 use crate::decode::{CLIPPED, Decoder, Kind, NOISE_BINS};
-use crate::{Error, Response, Result};
+use crate::{Error, Response, Result, order};
 use translume_image::{Codes, Samples};
 
 /// One picture of a bracket.
@@ -11,6 +12,8 @@ pub struct Exposure {
     pub name: String,
     /// The picture as stored.
     pub codes: Codes,
+    /// Coverage in [0, 1], one value a pixel, where the file has it: transparent pixels show nothing.
+    pub alpha: Option<Vec<f32>>,
     /// Relative exposure: seconds, or seconds · ISO / N².
     pub secs: f64,
 }
@@ -20,8 +23,10 @@ pub(crate) struct Shot<'a> {
     pub(crate) name: &'a str,
     pub(crate) codes: &'a Codes,
     pub(crate) log_secs: f32,
-    /// `true` where the pixel is border, not picture.
+    /// `true` where the pixel is border or transparent, not picture.
     pub(crate) border: Option<Vec<bool>>,
+    /// What is clipped, and what lies beside it; `None` if nothing is.
+    pub(crate) clips: Option<Vec<u8>>,
     pub(crate) decoder: Decoder,
 }
 
@@ -108,8 +113,10 @@ pub fn check(exposures: &[Exposure]) -> Result<()> {
         }
     }
     if rest.iter().all(|e| (e.secs / first.secs - 1.0).abs() < 1e-3) {
+        let pixels = order::measured(exposures).map_or_else(String::new, |m| format!("; {m}"));
         return Err(Error::Bracket(format!(
-            "all {} pictures have the same exposure ({} s); a bracket needs different ones (give --exposures if the files are wrong)",
+            "all {} pictures have the same exposure ({} s); a bracket needs different ones (give --exposures if the files \
+             are wrong{pixels})",
             exposures.len(),
             first.secs
         )));
@@ -120,48 +127,15 @@ pub fn check(exposures: &[Exposure]) -> Result<()> {
 /// The decoder of a picture before its response is known.
 pub(crate) fn decoder_of(codes: &Codes, response: &Response) -> Decoder {
     let kind = match &codes.samples {
-        Samples::U8(_) | Samples::U16(_) => Kind::Curve { response: response.clone(), clip: clip_code(codes) },
+        Samples::U8(_) | Samples::U16(_) => Kind::Curve { response: response.clone(), clip: [CLIPPED; 3] },
         Samples::F32(v) => {
-            let most = v.iter().copied().fold(0.0f32, f32::max);
-            // Clipped pictures pile up at their largest value; a highlight that is the largest by chance does not.
-            let at_most = v.iter().filter(|x| **x >= most * 0.9999).count();
-            let clip = if at_most > 16.max(v.len() / 20_000) { most } else { f32::INFINITY };
-            Kind::Float { clip, full: most.max(f32::MIN_POSITIVE) }
+            let clip = clip::float_levels(v);
+            Kind::Float { clip, full: v.iter().copied().fold(f32::MIN_POSITIVE, f32::max) }
         }
     };
     let mut decoder = Decoder { kind, blur: [0.0; NOISE_BINS] };
     decoder.blur = blur(codes, &decoder);
     decoder
-}
-
-/// All pictures of a bracket come from one camera: the lowest clip found holds for all.
-pub(crate) fn share_clip(shots: &mut [Shot<'_>]) {
-    let clip_of = |s: &Shot<'_>| match s.decoder.kind {
-        Kind::Curve { clip, .. } => clip,
-        Kind::Float { .. } => CLIPPED,
-    };
-    let lowest = shots.iter().map(clip_of).fold(CLIPPED, f32::min);
-    for s in shots {
-        if let Kind::Curve { clip, .. } = &mut s.decoder.kind {
-            *clip = lowest;
-        }
-    }
-}
-
-/// The code at which a camera clips: two codes below the pile at the top of the histogram, where there is one.
-fn clip_code(codes: &Codes) -> f32 {
-    const FROM: usize = 225;
-    let mut counts = [0usize; 256];
-    let pixels = codes.width * codes.height;
-    let stride = (pixels / 200_000).max(1);
-    for i in (0..pixels).step_by(stride) {
-        let brightest = (0..3).map(|c| codes.unit(3 * i + c)).fold(0.0f32, f32::max);
-        counts[(brightest * 255.0 + 0.5) as usize] += 1;
-    }
-    let top = (FROM..256).max_by_key(|c| counts[*c]).unwrap_or(255);
-    let around: usize = (FROM..256).filter(|c| c.abs_diff(top) > 2).map(|c| counts[c]).sum::<usize>() / 26;
-    let pile = counts[top] > 5 * around.max(1) && counts[top] * 500 > pixels / stride;
-    if pile { CLIPPED.min((top as f32 - 2.5) / 255.0) } else { CLIPPED }
 }
 
 /// Two standard deviations of the green noise per bin of the encoded range, and a rounding step.
@@ -191,6 +165,19 @@ fn blur(codes: &Codes, decoder: &Decoder) -> [f32; NOISE_BINS] {
         }
         last + step
     })
+}
+
+/// Where a picture shows nothing: its border and its transparent pixels. `None` if it shows something everywhere.
+pub(crate) fn hidden(e: &Exposure) -> Option<Vec<bool>> {
+    let Some(alpha) = &e.alpha else { return find_border(&e.codes) };
+    // Half-covered pixels are mixed with nothing; a veil over all of a picture is no mask.
+    let full = alpha.iter().copied().fold(0.0f32, f32::max).min(1.0);
+    let transparent = |a: &f32| a.is_nan() || *a < 0.99 * full || full <= 0.0;
+    let mut hidden: Vec<bool> = alpha.iter().map(transparent).collect();
+    if let Some(border) = find_border(&e.codes) {
+        hidden.iter_mut().zip(border).for_each(|(h, b)| *h |= b);
+    }
+    hidden.contains(&true).then_some(hidden)
 }
 
 /// Border of one exact colour, as registered scans have it, that reaches in from the sides: `true` where border.
@@ -268,8 +255,12 @@ mod tests {
 
     #[test]
     fn brackets_that_cannot_be_merged_are_refused() {
-        let e =
-            |name: &str, secs: f64, w: usize| Exposure { name: name.into(), codes: codes(w, 4, |_, _| [100; 3]), secs };
+        let e = |name: &str, secs: f64, w: usize| Exposure {
+            name: name.into(),
+            codes: codes(w, 4, |_, _| [100; 3]),
+            alpha: None,
+            secs,
+        };
         let message = |v: &[Exposure]| check(v).unwrap_err().to_string();
         assert!(message(&[e("a", 1.0, 4)]).contains("a: one picture"));
         assert!(message(&[e("a", 1.0, 4), e("b", 2.0, 5)]).contains("b: 5 × 4"));

@@ -120,19 +120,12 @@ impl Field {
         [sx - x, sy - y]
     }
 
-    /// Mean and largest length of the displacement over a picture, sampled every 8 pixels and at the far edges.
-    pub fn statistics(&self, width: usize, height: usize) -> (f64, f64) {
-        let (mut sum, mut most, mut n) = (0.0, 0.0f64, 0usize);
-        for y in (0..height).step_by(8).chain([height - 1]) {
-            for x in (0..width).step_by(8).chain([width - 1]) {
-                let [dx, dy] = self.displacement(x as f32, y as f32);
-                let length = f64::from(dx).hypot(f64::from(dy));
-                sum += length;
-                most = most.max(length);
-                n += 1;
-            }
-        }
-        (sum / n as f64, most)
+    /// The largest length of the displacement over a picture, sampled every 8 pixels and at the far edges.
+    pub fn longest(&self, width: usize, height: usize) -> f32 {
+        let rows = || (0..height).step_by(8).chain([height - 1]);
+        let columns = || (0..width).step_by(8).chain([width - 1]);
+        let lengths = rows().flat_map(|y| columns().map(move |x| self.displacement(x as f32, y as f32)));
+        lengths.map(|[dx, dy]| dx.hypot(dy)).fold(0.0, f32::max)
     }
 }
 

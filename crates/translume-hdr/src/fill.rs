@@ -1,6 +1,6 @@
 //! Values for holes: pixels that are clipped in the anchor and of which every unclipped picture shows something else.
 //!
-//! The anchor bounds them from below, nothing else is known; they take the smooth continuation of what surrounds them
+//! The anchor bounds them from below, nothing else is known; they, and pixels that no picture shows, take the smooth continuation of what surrounds them
 //! (pull–push over a pyramid of averages [Gortler et al. 1996]), never below their bound. No edge of a thing that moved
 //! is left standing there, which a plain bound or another picture's value would leave.
 
@@ -15,13 +15,14 @@ struct Level {
 
 /// Fills the holes of a log-radiance picture (interleaved RGB) of `width` pixels a row.
 pub(crate) fn fill(values: &mut [f32], trust: &[Trust], width: usize) {
-    if !trust.contains(&Trust::Hole) {
+    let to_fill = |t: Trust| matches!(t, Trust::Hole | Trust::Unseen);
+    if !trust.iter().any(|t| to_fill(*t)) {
         return;
     }
     let height = trust.len() / width;
     let finest = |x: usize, y: usize| {
         let i = y * width + x;
-        let known = f32::from(u8::from(trust[i] != Trust::Hole));
+        let known = f32::from(u8::from(!to_fill(trust[i])));
         [values[3 * i] * known, values[3 * i + 1] * known, values[3 * i + 2] * known, known]
     };
     let mut levels = vec![halve(width, height, finest)];
@@ -42,13 +43,14 @@ pub(crate) fn fill(values: &mut [f32], trust: &[Trust], width: usize) {
             }
         }
     }
-    for (i, _) in trust.iter().enumerate().filter(|(_, t)| **t == Trust::Hole) {
+    for (i, t) in trust.iter().enumerate().filter(|(_, t)| to_fill(**t)) {
         let v = levels[0].at((i % width) as f32, (i / width) as f32);
         if v[3] == 0.0 {
             continue;
         }
         for c in 0..3 {
-            values[3 * i + c] = values[3 * i + c].max(v[c]);
+            let own = values[3 * i + c];
+            values[3 * i + c] = if *t == Trust::Unseen { v[c] } else { own.max(v[c]) };
         }
     }
 }

@@ -62,7 +62,7 @@ impl Expectation {
             for p in points {
                 let (Some(u), Some(v)) = (p.codes[a.0], p.codes[b.0]) else { continue };
                 let (u, v) = (u[c], v[c]);
-                let usable = |s: &Shot<'_>, u: f32| !s.decoder.is_clipped(u) && !s.decoder.is_black(u);
+                let usable = |s: &Shot<'_>, u: f32| !s.decoder.is_clipped(c, u) && !s.decoder.is_black(u);
                 if usable(a.1, u) && usable(b.1, v) {
                     let l = |s: &Shot<'_>, u: f32| s.decoder.log_exposure(c, u) - s.log_secs;
                     let difference = l(b.1, v) - l(a.1, u);
@@ -205,18 +205,26 @@ impl Witness<'_> {
 }
 
 impl Testimony<'_> {
-    /// Per channel by how much more than expected `codes` of the picture in question contradict this one at pixel
+    /// Per channel by how much more than expected the codes of the picture in question contradict this one at pixel
     /// (x, y), and whether this one leaves an end open. `None` where it does not see the pixel or is not trusted.
     #[inline]
-    fn contradicts(&self, codes: [f32; 3], x: usize, y: usize) -> Option<[(f32, bool); 3]> {
+    fn contradicts(&self, picture: &Strip, x: usize, y: usize) -> Option<[(f32, bool); 3]> {
         let (w, p) = (self.strip.width, y * self.strip.width + x);
         if !self.strip.seen[p] || self.confidence.is_some_and(|c| c[p] <= 128) {
             return None;
         }
         let around = neighbourhood(&self.strip, x, y, self.strip.seen.len() / w);
+        let codes = picture.pixel(p);
+        // What rings beside a clip may be any brighter.
+        let (mine_rings, theirs_ring) =
+            (picture.may_ring(self.witness.mine.shot, p), self.strip.may_ring(self.witness.theirs.shot, p));
+        let open = |strip: &Strip, rings: bool, c, (low, high): (f32, f32)| {
+            (low, if rings || strip.is_clipped(p, c) { f32::INFINITY } else { high })
+        };
         Some(std::array::from_fn(|c| {
-            let mine = self.witness.mine.at(c, codes[c]);
+            let mine = open(picture, mine_rings, c, self.witness.mine.at(c, codes[c]));
             let theirs = (self.witness.theirs.at(c, around[c].0).0, self.witness.theirs.at(c, around[c].1).1);
+            let theirs = open(&self.strip, theirs_ring, c, theirs);
             (gap(mine, theirs), theirs.0 == f32::NEG_INFINITY || theirs.1 == f32::INFINITY)
         }))
     }
@@ -260,10 +268,10 @@ fn gaps(picture: &Strip, first: &Testimony<'_>, second: Option<&Testimony<'_>>) 
     let w = picture.width;
     let mut out = vec![0.0f32; picture.seen.len()];
     for (p, out) in out.iter_mut().enumerate().filter(|(p, _)| picture.seen[*p]) {
-        let (x, y, codes) = (p % w, p / w, picture.pixel(p));
-        let by_first = first.contradicts(codes, x, y).unwrap_or([(0.0, true); 3]);
+        let (x, y) = (p % w, p / w);
+        let by_first = first.contradicts(picture, x, y).unwrap_or([(0.0, true); 3]);
         let open = by_first.iter().any(|c| c.1);
-        let by_second = second.filter(|_| open).and_then(|s| s.contradicts(codes, x, y));
+        let by_second = second.filter(|_| open).and_then(|s| s.contradicts(picture, x, y));
         for c in 0..3 {
             *out = out.max(by_first[c].0);
             if let (true, Some(s)) = (by_first[c].1, by_second) {
@@ -320,7 +328,7 @@ fn correlations(a: &Shot<'_>, b: &Shot<'_>, reference: &Strip, picture: &Strip) 
         }
         let (pa, pb) = (reference.pixel(p), picture.pixel(p));
         for c in 0..3 {
-            if a.decoder.is_clipped(pa[c]) || a.decoder.is_black(pa[c]) {
+            if reference.is_clipped(p, c) || a.decoder.is_black(pa[c]) {
                 continue;
             }
             let (va, vb) = (ta.at(c, pa[c], |c, u| value(a, c, u)), tb.at(c, pb[c], |c, u| value(b, c, u)));

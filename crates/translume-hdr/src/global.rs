@@ -14,6 +14,10 @@ use rayon::prelude::*;
 pub(crate) const COARSEST: usize = 32;
 /// Largest rotation searched, degrees, and the step of the search.
 const ROTATION: (i32, usize) = (15, 3);
+/// Step of the search over the whole circle.
+const WIDE_STEP: usize = 4;
+/// Products that a search may cost; beyond, it reaches less far (strips of a few pixels' width).
+const MOST_PRODUCTS: usize = 400_000_000;
 /// Largest translation searched, as a share of the sides.
 const TRANSLATION: f32 = 0.25;
 
@@ -25,10 +29,16 @@ pub(crate) struct Level<'a> {
     pub(crate) other: &'a Plane,
 }
 
-/// The affine map from anchor to other pixels at the finest of `levels` (finest first).
-pub(crate) fn estimate(levels: &[Level<'_>]) -> Affine {
+/// The affine map from anchor to other pixels at the finest of `levels` (finest first); `wide` looks at any rotation,
+/// not only at those of a camera held by hand.
+pub(crate) fn estimate(levels: &[Level<'_>], wide: bool) -> Affine {
     let Some(coarsest) = levels.last() else { return IDENTITY };
-    let mut candidates = search(coarsest);
+    let rotations: Vec<i32> = match wide {
+        _ if coarsest.anchor.width.min(coarsest.anchor.height) < 8 => vec![0],
+        true => (-180..180).step_by(WIDE_STEP).collect(),
+        false => (-ROTATION.0..=ROTATION.0).step_by(ROTATION.1).collect(),
+    };
+    let mut candidates = search(coarsest, &rotations);
     candidates.push(IDENTITY);
     for (i, level) in levels.iter().enumerate().rev() {
         let last = i + 1 == levels.len();
@@ -52,6 +62,33 @@ pub(crate) fn estimate(levels: &[Level<'_>]) -> Affine {
     candidates.first().copied().unwrap_or(IDENTITY)
 }
 
+/// The same motion one level coarser.
+fn coarser(m: &Affine) -> Affine {
+    let up = [2.0, 0.0, 0.5, 0.0, 2.0, 0.5];
+    let down = [0.5, 0.0, -0.25, 0.0, 0.5, -0.25];
+    compose(&down, &compose(m, &up))
+}
+
+/// Correlation of the gradients of `a` with those of `b` seen through `m`, in [−1, 1], on the level next to the coarsest
+/// (finest first): near 1 for one scene, near 0 for two, whatever the brightness.
+pub(crate) fn agreement(a: &[Plane], b: &[Plane], m: &Affine) -> f64 {
+    let level = a.len().saturating_sub(2);
+    let m = (0..level).fold(*m, |m, _| coarser(&m));
+    let (a, b) = (&a[level], &b[level]);
+    let ((ax, ay), (bx, by)) = (a.gradients(), b.resampled(a.width, a.height, |x, y| apply(&m, x, y)).gradients());
+    let (mut ab, mut aa, mut bb) = (0.0f64, 0.0f64, 0.0f64);
+    for i in 0..a.values.len() {
+        let (x, y) = apply(&m, (i % a.width) as f32, (i / a.width) as f32);
+        if b.contains(x - 1.0, y - 1.0) && b.contains(x + 1.0, y + 1.0) {
+            let (p, q) = ([ax.values[i], ay.values[i]].map(f64::from), [bx.values[i], by.values[i]].map(f64::from));
+            ab += p[0] * q[0] + p[1] * q[1];
+            aa += p[0] * p[0] + p[1] * p[1];
+            bb += q[0] * q[0] + q[1] * q[1];
+        }
+    }
+    if aa * bb > 0.0 { ab / (aa * bb).sqrt() } else { 1.0 }
+}
+
 /// The same motion one level finer, where pixel x of the coarse level sits at 2x + 0.5.
 pub(crate) fn finer(m: &Affine) -> Affine {
     let up = [2.0, 0.0, 0.5, 0.0, 2.0, 0.5];
@@ -60,11 +97,15 @@ pub(crate) fn finer(m: &Affine) -> Affine {
 }
 
 /// The best distinct rotations and translations of the coarsest level.
-fn search(level: &Level<'_>) -> Vec<Affine> {
+fn search(level: &Level<'_>, rotations: &[i32]) -> Vec<Affine> {
     let (w, h) = (level.anchor.width as f64, level.anchor.height as f64);
-    let (rx, ry) = ((w * f64::from(TRANSLATION)) as i32, (h * f64::from(TRANSLATION)) as i32);
+    let (mut rx, mut ry) = ((w * f64::from(TRANSLATION)) as i32, (h * f64::from(TRANSLATION)) as i32);
+    let products =
+        |rx: i32, ry: i32| (2 * rx as usize + 1) * (2 * ry as usize + 1) * rotations.len() * (w * h) as usize;
+    while products(rx, ry) > MOST_PRODUCTS && rx.max(ry) > 0 {
+        *(if rx > ry { &mut rx } else { &mut ry }) /= 2;
+    }
     let (a, b) = (level.anchor.edges(), level.other.edges());
-    let rotations: Vec<i32> = (-ROTATION.0..=ROTATION.0).step_by(ROTATION.1).collect();
     let mut found: Vec<(f64, i32, i32, i32)> = rotations
         .par_iter()
         .flat_map_iter(|&degrees| {
@@ -256,7 +297,8 @@ fn refine(level: &Level<'_>, start: &Affine, rounds: usize) -> Affine {
 fn plausible(m: &Affine) -> bool {
     let det = m[0] * m[4] - m[1] * m[3];
     let shear = (m[0] * m[1] + m[3] * m[4]).abs();
-    (0.85..1.18).contains(&det) && shear < 0.15 && m[0] > 0.7 && m[4] > 0.7
+    let zooms = [m[0].hypot(m[3]), m[1].hypot(m[4])];
+    (0.85..1.18).contains(&det) && shear < 0.15 && zooms.iter().all(|z| (0.8..1.25).contains(z))
 }
 
 #[cfg(test)]
@@ -302,7 +344,7 @@ mod tests {
             .zip(&gradients)
             .map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other })
             .collect();
-        estimate(&levels)
+        estimate(&levels, false)
     }
 
     fn worst(m: &Affine, truth: &Affine) -> f64 {
@@ -323,6 +365,28 @@ mod tests {
             let (a, b) = pair(&truth);
             let error = worst(&run(a, b), &truth);
             assert!(error < 0.1, "{degrees}° ({dx}, {dy}): {error} px");
+        }
+    }
+
+    #[test]
+    fn any_rotation_is_found_when_it_is_looked_for_and_the_agreement_tells() {
+        for degrees in [33.0f64, -100.0, 180.0] {
+            let (s, c) = degrees.to_radians().sin_cos();
+            let (dx, dy) = (5.0, -3.0);
+            let truth = [c, -s, dx + 119.5 * (1.0 - c) + 89.5 * s, s, c, dy - 119.5 * s + 89.5 * (1.0 - c)];
+            let (anchor, other) = pair(&truth);
+            let (a, b) = (anchor.pyramid(COARSEST), other.pyramid(COARSEST));
+            let gradients: Vec<_> = a.iter().map(Plane::gradients).collect();
+            let levels: Vec<_> = a
+                .iter()
+                .zip(&b)
+                .zip(&gradients)
+                .map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other })
+                .collect();
+            let (near, wide) = (estimate(&levels, false), estimate(&levels, true));
+            assert!(worst(&wide, &truth) < 0.3, "{degrees}°: {} px", worst(&wide, &truth));
+            let (near, wide) = (agreement(&a, &b, &near), agreement(&a, &b, &wide));
+            assert!(wide > 0.8 && near < wide - 0.2, "{degrees}°: {near} {wide}");
         }
     }
 

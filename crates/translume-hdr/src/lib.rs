@@ -7,29 +7,37 @@
 //! This crate knows nothing about files, options or reports.
 
 mod align;
+mod clip;
 mod decode;
 mod exposure;
 mod field;
 mod fill;
 mod ghost;
 mod global;
+mod grouping;
+mod lists;
 mod local;
+mod look;
 mod merge;
+mod order;
 mod plane;
 mod response;
 mod sampling;
-mod sets;
 pub mod simulate;
+mod upright;
 mod warp;
 mod weight;
 
-pub use align::{Aligned, Alignment};
+pub use align::{Aligned, Alignment, Motion};
 pub use exposure::{Exposure, check};
 pub use field::{Affine, Field, Grid};
 pub use ghost::GhostParams;
+pub use grouping::{Brackets, Fact, group, group_by_count};
+pub use lists::{parse_list, parse_seconds};
+pub use look::Look;
 pub use merge::Weights;
 pub use response::{NODES, Response};
-pub use sets::{Grouping, group, parse_list, parse_seconds};
+pub use upright::one_orientation;
 pub use weight::{Noise, spline};
 
 use exposure::Shot;
@@ -43,6 +51,9 @@ pub enum Error {
     /// The pictures are no bracket.
     #[error("{0}")]
     Bracket(String),
+    /// It is not clear which pictures form a bracket.
+    #[error("it is not clear which pictures belong together: {0}")]
+    Doubt(String),
     /// The response cannot be found or used.
     #[error("camera response: {0}")]
     Response(String),
@@ -66,6 +77,18 @@ pub struct Params {
     pub linear: bool,
     /// How pixels are weighed.
     pub weights: Weights,
+    /// What the values are scaled by.
+    pub scale: Scale,
+}
+
+/// The one factor that exposures leave free.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// Values come out as the anchor's own decoded codes: each bracket has a brightness of its own.
+    Anchor,
+    /// Values come out as the decoded codes of a picture of this relative exposure: brackets that are given the same have
+    /// one brightness.
+    Exposure(f64),
 }
 
 impl Default for Params {
@@ -77,6 +100,7 @@ impl Default for Params {
             response: None,
             linear: false,
             weights: Weights::Spline,
+            scale: Scale::Anchor,
         }
     }
 }
@@ -84,9 +108,11 @@ impl Default for Params {
 /// The result of [`merge_bracket`].
 #[derive(Debug)]
 pub struct Merged {
-    /// Linear radiance in the anchor's frame and the source's primaries, scaled so that the anchor's values come out as
-    /// its own decoded codes: mid code of an encoded picture is 0.214, a linear picture keeps its values.
+    /// Linear radiance in the anchor's frame and the source's primaries, on the scale of [`Params::scale`]: mid code of an
+    /// encoded picture of that exposure is 0.214, a linear picture keeps its values.
     pub radiance: Rgb32FImage,
+    /// 1 where some picture shows the pixel, 0 elsewhere; `None` if no picture has transparent pixels.
+    pub alpha: Option<Vec<f32>>,
     /// Relative radiance (per unit of exposure) of value 1.
     pub unit: f64,
     /// Index of the anchor.
@@ -126,11 +152,14 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
             name: &e.name,
             codes: &e.codes,
             log_secs: e.secs.ln() as f32,
-            border: exposure::find_border(&e.codes),
+            border: exposure::hidden(e),
+            clips: None,
             decoder: exposure::decoder_of(&e.codes, &start),
         })
         .collect();
-    exposure::share_clip(&mut shots);
+    clip::find_levels(&mut shots);
+    let clips: Vec<Option<Vec<u8>>> = shots.iter().map(clip::marks).collect();
+    shots.iter_mut().zip(clips).for_each(|(s, c)| s.clips = c);
     let mut order: Vec<usize> = (0..shots.len()).collect();
     order.sort_by(|a, b| exposures[*a].secs.total_cmp(&exposures[*b].secs).then(a.cmp(b)));
     let anchor = match params.anchor {
@@ -140,6 +169,8 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
         }
         None => highest_entropy(&shots),
     };
+    let hidden: Vec<Option<&[bool]>> = shots.iter().map(|s| s.border.as_deref()).collect();
+    order::check(exposures, &hidden, &order, params.linear)?;
     let log_secs: Vec<f64> = exposures.iter().map(|e| e.secs.ln()).collect();
     let solve = params.response.is_none() && !params.linear && !exposures[0].codes.is_linear();
     if solve {
@@ -164,7 +195,6 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
             set_all(&mut shots, &r);
         }
     }
-    warnings.extend(check_order(&shots, &points, &order));
     let corrections = balance(&mut shots, &points, &order, anchor);
     warnings.extend(corrections.iter().zip(&shots).filter(|(ev, _)| ev.abs() > 0.25).map(|(ev, s)| {
         format!("{}: its pixels say {ev:+.2} EV against the exposure given; merged as the pixels say", s.name)
@@ -193,8 +223,13 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     fill::fill(&mut values, &trust, shots[anchor].width());
     let bounds = trust.iter().map(|t| *t != merge::Trust::Measured).collect();
     let mid = if exposures[0].codes.is_linear() { 1.0 } else { MID };
-    let scale = f64::from(shots[anchor].log_secs) + mid.ln();
+    let log_reference = match params.scale {
+        Scale::Anchor => f64::from(shots[anchor].log_secs),
+        Scale::Exposure(e) => e.ln(),
+    };
+    let scale = log_reference + mid.ln();
     values.par_iter_mut().for_each(|v| *v = (*v + scale as f32).exp());
+    let alpha = alpha(exposures, &trust, &mut values);
     clock.lap("merge");
 
     let (w, h) = (shots[anchor].width() as u32, shots[anchor].height() as u32);
@@ -202,6 +237,7 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
     let radiance = Rgb32FImage::from_raw(w, h, values).ok_or_else(|| Error::Bracket("picture too large".into()))?;
     Ok(Merged {
         radiance,
+        alpha,
         unit: (-scale).exp(),
         anchor,
         response,
@@ -211,6 +247,19 @@ pub fn merge_bracket(exposures: &[Exposure], params: &Params, progress: &(dyn Fn
         seconds: clock.laps,
         warnings,
     })
+}
+
+/// Alpha of the result, if a picture has transparent pixels; what none shows is black then.
+fn alpha(exposures: &[Exposure], trust: &[merge::Trust], values: &mut [f32]) -> Option<Vec<f32>> {
+    let has_alpha = |e: &Exposure| e.alpha.as_ref().is_some_and(|a| a.iter().any(|a| *a < 1.0));
+    if !exposures.iter().any(has_alpha) {
+        return None;
+    }
+    let seen = |t: &merge::Trust| *t != merge::Trust::Unseen;
+    for (p, _) in values.as_chunks_mut::<3>().0.iter_mut().zip(trust).filter(|(_, t)| !seen(t)) {
+        *p = [0.0; 3];
+    }
+    Some(trust.iter().map(|t| f32::from(u8::from(seen(t)))).collect())
 }
 
 fn set_all(shots: &mut [Shot<'_>], response: &Response) {
@@ -258,29 +307,13 @@ fn highest_entropy(shots: &[Shot<'_>]) -> usize {
 
 /// Green codes that both pictures of a pair record well, on common points.
 fn well_exposed(shots: &[Shot<'_>], points: &[sampling::Point], a: usize, b: usize) -> Vec<(f32, f32)> {
-    let good = |d: &decode::Decoder, u: f32| (0.1..0.9).contains(&d.encoded(u)) && !d.is_clipped(u);
+    let good = |d: &decode::Decoder, u: f32| (0.1..0.9).contains(&d.encoded(u)) && !d.is_clipped(1, u);
     let pair = |p: &sampling::Point| Some((p.codes[a]?[1], p.codes[b]?[1]));
     points.iter().filter_map(pair).filter(|(u, v)| good(&shots[a].decoder, *u) && good(&shots[b].decoder, *v)).collect()
 }
 
 /// Fewest common points that say something about a pair.
 const FEWEST: usize = 20;
-
-/// Warns of pictures that are darker than shorter ones.
-fn check_order(shots: &[Shot<'_>], points: &[sampling::Point], order: &[usize]) -> Option<String> {
-    order.windows(2).find_map(|pair| {
-        let (a, b) = (pair[0], pair[1]);
-        let codes = well_exposed(shots, points, a, b);
-        let darker = codes.iter().filter(|(u, v)| v < u).count();
-        let wrong = codes.len() >= FEWEST && 2 * darker > codes.len() && shots[b].log_secs > shots[a].log_secs + 0.1;
-        wrong.then(|| {
-            format!(
-                "{} is darker than {}, but its exposure is longer: are the exposures in the order of the pictures? (--exposures, --list)",
-                shots[b].name, shots[a].name
-            )
-        })
-    })
-}
 
 /// Corrects each exposure by what common pixels say (shutters are off by a tenth of a stop and more); returns the
 /// corrections in EV.

@@ -77,11 +77,13 @@ impl Plane {
         })
     }
 
-    /// The plane and its halves, finest first, down to a shorter side of at least `shortest` pixels.
+    /// The plane and its halves, finest first, down to a shorter side of at least `shortest` pixels; strips go on down
+    /// to 8, because the search of the coarsest level takes time by the square of its pixels.
     pub(crate) fn pyramid(self, shortest: usize) -> Vec<Self> {
         let mut levels = vec![self];
         while let Some(last) = levels.last() {
-            if last.width.min(last.height) < 2 * shortest {
+            let (side, pixels) = (last.width.min(last.height), last.width * last.height);
+            if side < 2 * shortest && (side < 16 || pixels <= 12 * shortest * shortest) {
                 break;
             }
             let next = last.half();

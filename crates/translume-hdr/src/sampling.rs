@@ -172,6 +172,7 @@ mod tests {
             codes: &codes,
             log_secs: secs.ln(),
             border: None,
+            clips: None,
             decoder: decoder_of(&codes, &Response::linear()),
         };
         // A linear camera and a ratio of 2; of the points brighter than 0.5 all have moved, of the others a third.

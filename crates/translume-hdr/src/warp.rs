@@ -1,5 +1,6 @@
 //! Rows of a picture as the anchor sees them: unit codes looked up through the displacement field.
 
+use crate::clip;
 use crate::exposure::Shot;
 use crate::field::Field;
 use crate::plane::catmull_rom;
@@ -11,9 +12,23 @@ pub(crate) struct Strip {
     pub(crate) codes: Vec<f32>,
     /// Whether the picture sees the pixel at all.
     pub(crate) seen: Vec<bool>,
+    /// The marks of [`crate::clip`].
+    pub(crate) marks: Vec<u8>,
 }
 
 impl Strip {
+    /// Whether the picture says of a channel only that the scene is at least so bright.
+    #[inline]
+    pub(crate) fn is_clipped(&self, i: usize, c: usize) -> bool {
+        self.marks[i] & 1 << c != 0
+    }
+
+    /// Whether the pixel may be ringing of what is clipped beside it.
+    #[inline]
+    pub(crate) fn may_ring(&self, shot: &Shot<'_>, i: usize) -> bool {
+        self.marks[i] & clip::BESIDE != 0 && clip::may_ring(shot, &self.codes[3 * i..3 * i + 3])
+    }
+
     #[inline]
     pub(crate) fn pixel(&self, i: usize) -> [f32; 3] {
         [self.codes[3 * i], self.codes[3 * i + 1], self.codes[3 * i + 2]]
@@ -27,12 +42,15 @@ impl Strip {
 pub(crate) fn strip(shot: &Shot<'_>, field: &Field, rows: std::ops::Range<usize>) -> Strip {
     let w = shot.width();
     let n = rows.len() * w;
-    let mut out = Strip { width: w, codes: vec![0.0; 3 * n], seen: vec![true; n] };
+    let mut out = Strip { width: w, codes: vec![0.0; 3 * n], seen: vec![true; n], marks: vec![0; n] };
     if field.is_identity() {
         for (k, y) in rows.enumerate() {
             shot.unit_row(y, &mut out.codes[3 * k * w..3 * (k + 1) * w]);
             for x in 0..w {
                 out.seen[k * w + x] = shot.is_picture(y * w + x);
+            }
+            if let Some(marks) = &shot.clips {
+                out.marks[k * w..(k + 1) * w].copy_from_slice(&marks[y * w..(y + 1) * w]);
             }
         }
         return out;
@@ -43,7 +61,10 @@ pub(crate) fn strip(shot: &Shot<'_>, field: &Field, rows: std::ops::Range<usize>
             let (sx, sy) = field.source(x as f32, y as f32);
             let i = k * w + x;
             match lookup(shot, &window, first, sx, sy) {
-                Some(rgb) => out.codes[3 * i..3 * i + 3].copy_from_slice(&rgb),
+                Some((rgb, marks)) => {
+                    out.codes[3 * i..3 * i + 3].copy_from_slice(&rgb);
+                    out.marks[i] = marks;
+                }
                 None => out.seen[i] = false,
             }
         }
@@ -73,9 +94,9 @@ fn source_rows(shot: &Shot<'_>, field: &Field, rows: &std::ops::Range<usize>) ->
     (first, window)
 }
 
-/// The interpolated code, `None` outside the picture or on its border.
+/// The interpolated code and the marks of the pixels it is made of, `None` outside the picture or on its border.
 #[inline]
-fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Option<[f32; 3]> {
+fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Option<([f32; 3], u8)> {
     let (w, h) = (shot.width() as isize, shot.height() as isize);
     // Half a pixel beyond the outermost centres still belongs to the picture.
     if !(sx >= -0.5 && sy >= -0.5 && sx <= w as f32 - 0.5 && sy <= h as f32 - 0.5) {
@@ -92,6 +113,10 @@ fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Op
             return None;
         }
     }
+    let marks = shot.clips.as_ref().map_or(0, |marks| {
+        let at = |k: isize, l: isize| marks[((iy + k).clamp(0, h - 1) * w + (ix + l).clamp(0, w - 1)) as usize];
+        at(0, 0) | at(0, 1) | at(1, 0) | at(1, 1)
+    });
     let (wx, wy) = (catmull_rom(sx - fx), catmull_rom(sy - fy));
     let columns = [column(-1), column(0), column(1), column(2)];
     let rows = [row(-1), row(0), row(1), row(2)];
@@ -111,11 +136,11 @@ fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Op
         }
     }
     for c in 0..3 {
-        out[c] = if shot.decoder.is_clipped(high[c]) && wx[1] * wy[1] < 0.999 {
+        out[c] = if shot.decoder.is_clipped(c, high[c]) && wx[1] * wy[1] < 0.999 {
             high[c]
         } else {
             out[c].clamp(low[c], high[c])
         };
     }
-    Some(out)
+    Some((out, marks))
 }

@@ -32,9 +32,9 @@ pub(crate) fn read_fields(fields: &[Field], metadata: &mut Metadata) {
 }
 
 /// The numbers of the tags that [`read_fields`] looks at.
-pub(crate) const TAGS: [u16; 15] = [
+pub(crate) const TAGS: [u16; 17] = [
     0x010f, 0x0110, 0x0132, 0x013b, 0x8298, 0x829a, 0x829d, 0x8827, 0x8830, 0x8831, 0x8832, 0x8833, 0x9003, 0x9201,
-    0x9202,
+    0x9202, 0x9291, 0xa402,
 ];
 
 fn fill<'a>(field: &dyn Fn(Tag) -> Option<&'a Field>, metadata: &mut Metadata) -> Orientation {
@@ -59,11 +59,29 @@ fn fill<'a>(field: &dyn Fn(Tag) -> Option<&'a Field>, metadata: &mut Metadata) -
     };
     metadata.owner = words(Tag::Copyright).or_else(|| words(Tag::Artist));
     metadata.date_time = words(Tag::DateTimeOriginal).or_else(|| words(Tag::DateTime));
+    metadata.captured_secs =
+        words(Tag::DateTimeOriginal).and_then(|t| seconds(&t, words(Tag::SubSecTimeOriginal).as_deref()));
+    metadata.auto_bracket = value(Tag::ExposureMode).map(|mode| mode == 2.0);
     Orientation::from_exif(value(Tag::Orientation).map_or(1, |v| v as u32))
 }
 
 fn sane(v: &f64) -> bool {
     v.is_finite() && *v > 0.0
+}
+
+/// Seconds of `2026:01:31 23:59:08` and the decimals of a second behind it, from a fixed origin; `None` for what is no date.
+fn seconds(text: &str, decimals: Option<&str>) -> Option<f64> {
+    let parts: Vec<i64> = text.split([':', ' ', '-', 'T']).map(|p| p.parse().ok()).collect::<Option<_>>()?;
+    let [year, month, day, hour, minute, second] = parts[..] else { return None };
+    let calendar = (1..=9999).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
+    if !(calendar && (0..24).contains(&hour) && (0..60).contains(&minute) && (0..=60).contains(&second)) {
+        return None;
+    }
+    // Days of the proleptic Gregorian calendar, the year beginning in March so that its leap day comes last.
+    let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day;
+    let fraction = decimals.and_then(|d| format!("0.{}", d.trim()).parse::<f64>().ok()).unwrap_or(0.0);
+    Some((((days * 24 + hour) * 60 + minute) * 60 + second) as f64 + fraction)
 }
 
 /// The first number of a field.
@@ -129,5 +147,17 @@ mod tests {
         assert_eq!(facts(&[(Tag::ISOSpeed, Value::Long(vec![800]))]).iso, Some(800.0));
         // The first of several.
         assert_eq!(facts(&[(Tag::PhotographicSensitivity, Value::Short(vec![200, 0]))]).iso, Some(200.0));
+    }
+
+    #[test]
+    fn moments_follow_each_other_across_days_months_and_years() {
+        let at = |t: &str| seconds(t, None).unwrap();
+        assert_eq!(at("2024:03:01 00:00:01") - at("2024:02:29 23:59:59"), 2.0);
+        assert_eq!(at("2025:03:01 00:00:00") - at("2025:02:28 23:59:59"), 1.0);
+        assert_eq!(at("2026:01:01 00:00:00") - at("2025:12:31 23:59:30"), 30.0);
+        assert!((seconds("2026:01:01 00:00:00", Some("25")).unwrap() - at("2026:01:01 00:00:00") - 0.25).abs() < 1e-6);
+        for bad in ["", "0000:00:00 00:00:00", "2024:13:01 00:00:00", "    :  :     :  :  ", "soon"] {
+            assert_eq!(seconds(bad, None), None, "{bad}");
+        }
     }
 }

@@ -20,6 +20,7 @@ mod icc;
 pub mod limits;
 mod linear;
 pub mod metrics;
+mod names;
 mod orient;
 mod picture;
 pub mod primaries;
@@ -38,8 +39,10 @@ pub use formats::png::{write_gray_png, write_png8, write_png16};
 pub use formats::radiance::write_hdr;
 pub use formats::tiff::{write_tiff_float, write_tiff8, write_tiff16};
 pub use image::Rgb32FImage;
+pub use names::natural_key;
 pub use orient::Orientation;
 pub use picture::{Metadata, Picture};
 pub use read::{
-    Format, TextureCodes, decode_codes, decode_picture, decode_texture, read_codes, read_layer, read_picture,
+    Format, TextureCodes, decode_codes, decode_picture, decode_texture, read_codes, read_codes_alpha, read_layer,
+    read_picture,
 };

@@ -39,6 +39,15 @@ impl Orientation {
         }
     }
 
+    /// The orientation that undoes this one.
+    pub fn inverse(self) -> Self {
+        match self {
+            Self::RightTop => Self::LeftBottom,
+            Self::LeftBottom => Self::RightTop,
+            own => own,
+        }
+    }
+
     /// Whether width and height change places.
     pub fn swaps_axes(self) -> bool {
         self as u8 >= Self::LeftTop as u8
@@ -106,7 +115,9 @@ mod tests {
             let pixels: Vec<u8> = text.bytes().flat_map(|b| [b, b]).collect();
             let upright: Vec<u8> = "abcdef".bytes().flat_map(|b| [b, b]).collect();
             let got = Orientation::from_exif(value).apply((width, 6 / width), 2, pixels);
-            assert_eq!(got, (3, 2, upright), "orientation {value}");
+            assert_eq!(got, (3, 2, upright.clone()), "orientation {value}");
+            let (_, _, back) = Orientation::from_exif(value).inverse().apply((3, 2), 2, upright);
+            assert_eq!(back, text.bytes().flat_map(|b| [b, b]).collect::<Vec<_>>(), "orientation {value} undone");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Linear light with the facts of the shot.
 
-use crate::{colour::Space, linear};
+use crate::{Orientation, colour::Space, linear};
 use image::Rgb32FImage;
 
 /// What a file says about its picture. Everything is optional; nothing is guessed.
@@ -18,6 +18,12 @@ pub struct Metadata {
     pub owner: Option<String>,
     /// Time of capture as the camera wrote it.
     pub date_time: Option<String>,
+    /// Moment of the shot in seconds (EXIF `DateTimeOriginal` with its fraction), from an origin that all files share.
+    pub captured_secs: Option<f64>,
+    /// Whether the camera took it as one of an automatic bracket (EXIF `ExposureMode` 2), where it says so.
+    pub auto_bracket: Option<bool>,
+    /// How the file said that its rows lie; the pixels have been turned upright by it.
+    pub orientation: Orientation,
     /// The embedded ICC profile.
     pub icc: Option<Vec<u8>>,
     /// CIE xy of red, green, blue and white (OpenEXR `chromaticities`).

@@ -46,8 +46,9 @@ impl Raster {
             }
         };
         let alpha = alpha.map(|a| self.orientation.apply(size, 1, a).2);
+        let metadata = Metadata { orientation: self.orientation, ..self.metadata };
         let (width, height) = if self.orientation.swaps_axes() { (size.1, size.0) } else { size };
-        (Codes { width, height, samples: rgb, metadata: self.metadata }, alpha)
+        (Codes { width, height, samples: rgb, metadata }, alpha)
     }
 }
 

@@ -75,6 +75,14 @@ pub fn read_codes(path: &Path) -> Result<Codes> {
     Ok(read(path, None)?.into_codes().0)
 }
 
+/// [`read_codes`], and the file's alpha in [0, 1] beside it, one value a pixel, where there is some.
+///
+/// # Errors
+/// As [`read_codes`].
+pub fn read_codes_alpha(path: &Path) -> Result<(Codes, Option<Vec<f32>>)> {
+    Ok(read(path, None)?.into_codes())
+}
+
 /// Reads linear light in Rec. 709: 8 and 16-bit files through what they say about their colour or the sRGB curve, OpenEXR
 /// and Radiance through their primaries (whites adapted by Bradford). NaN and infinities pass through; see
 /// [`Picture::count_non_finite`]. What had to be passed over (a damaged profile, layers beside the one that is read) is

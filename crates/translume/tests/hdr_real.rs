@@ -35,7 +35,7 @@ fn hand_held_brackets_are_aligned_and_people_left_out() {
         let images = json["images"].as_array().unwrap();
         assert_eq!(images.len(), 3);
         let most = |key: &str| images.iter().map(|i| i[key].as_f64().unwrap()).fold(0.0, f64::max);
-        assert!((0.1..60.0).contains(&most("displacement_max_px")), "{name}: {json}");
+        assert!((0.1..60.0).contains(&most("displacement_p95_px")), "{name}: {json}");
         assert!((0.005..0.3).contains(&most("ghost_share")), "{name}: {json}");
     }
 }

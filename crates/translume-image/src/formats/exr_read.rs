@@ -350,11 +350,11 @@ pub(crate) fn metadata(header: &Header) -> Metadata {
         },
         owner: text(&own.owner),
         date_time: text(&own.capture_date),
-        icc: None,
         chromaticities: header
             .shared_attributes
             .chromaticities
             .map(|c: Chromaticities| [c.red, c.green, c.blue, c.white].map(|v| [v.x(), v.y()])),
+        ..Metadata::default()
     }
 }
 

@@ -39,7 +39,7 @@ pub(crate) fn shrink((w, h): (usize, usize), step: usize, at: impl Fn(usize) -> 
 
 /// Displacement as a colour wheel, every `step`-th pixel: hue is direction, brightness length relative to the largest.
 pub(crate) fn motion(field: &Field, (w, h): (usize, usize), step: usize) -> Thumb {
-    let most = field.statistics(w, h).1.max(1e-6) as f32;
+    let most = field.longest(w, h).max(1e-6);
     let size = (w.div_ceil(step), h.div_ceil(step));
     let mut rgb = Vec::with_capacity(3 * size.0 * size.1);
     for y in 0..size.1 {

@@ -99,7 +99,7 @@ fn shoot(dir: &Path) -> anyhow::Result<Bracket> {
         write_png8(&path, camera.size, bytes)?;
         list += &format!("{name} {secs:.6}\n");
         poses.push(pose);
-        exposures.push(Exposure { name, codes: read_codes(&path)?, secs });
+        exposures.push(Exposure { name, codes: read_codes(&path)?, alpha: None, secs });
     }
     atomic::write_bytes(&dir.join("exposures.txt"), list.as_bytes())?;
     let limit = (camera.white_secs / SHOTS[0].0) as f32;

@@ -1,6 +1,7 @@
 //! `translume hdr`: brackets to radiance.
 
 mod report;
+mod scale;
 mod sets;
 
 use super::target::{Kind, save_display};
@@ -8,6 +9,7 @@ use crate::cli::Usage;
 use crate::output::Context;
 use anyhow::{Context as _, bail};
 use clap::ValueEnum;
+use scale::{ScaleBy, Scales};
 use serde_json::{Value, json};
 use sets::Set;
 use std::path::{Path, PathBuf};
@@ -40,7 +42,8 @@ Examples:
 ///
 /// Pictures of one scene at two or more exposures, in any order, become one linear picture in the view of one of them,
 /// the anchor. Motion of the camera is aligned, what moved in the scene is taken from the anchor. JPEG, PNG and TIFF
-/// (8 and 16 bit), and linear OpenEXR, Radiance and PFM are read. Values are scaled like the anchor's: its mid grey comes out as 0.214.
+/// (8 and 16 bit), and linear OpenEXR, Radiance and PFM are read. Values are scaled like the anchor's: its mid grey comes
+/// out as 0.214. Brackets of one run that have the same exposures have one scale, so that they make a panorama.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -98,6 +101,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "CD_M2", help_heading = "Method")]
     calibrate: Option<f64>,
 
+    /// What sets the scale of the values [default: common for brackets of one run with the same exposures, else anchor]
+    #[arg(long, value_enum, value_name = "HOW", help_heading = "Method")]
+    scale: Option<ScaleBy>,
+
     /// Also write a tone-mapped picture, .png, .jpg or .tif [default name: that of the result with .png]
     #[arg(long, value_name = "P.png", num_args = 0..=1, help_heading = "Outputs")]
     preview: Option<Option<PathBuf>>,
@@ -110,7 +117,7 @@ pub(crate) struct Args {
     /// Also write the displacement of each picture (float EXR, channels X and Y in anchor pixels)
     #[arg(long, value_name = "DIR", help_heading = "Outputs")]
     fields: Option<PathBuf>,
-    /// Also write where pictures were left out as ghosts (white)
+    /// Also write where pictures were left out as ghosts (white), and where all are clipped (mid grey: a lower bound)
     #[arg(long, value_name = "M.png", num_args = 0..=1, help_heading = "Outputs")]
     mask: Option<Option<PathBuf>>,
     /// Also write the response curve
@@ -182,7 +189,7 @@ struct Targets {
 
 pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let params = params(&args)?;
-    let sets = sets::collect(&args)?;
+    let sets = sets::collect(&args, ctx)?;
     let into_folder = names_folder(&args.output);
     if let [set] = &sets[..] {
         let targets = targets(&args, into_folder.then_some(&set.name));
@@ -191,7 +198,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
             std::fs::create_dir_all(&args.output)
                 .with_context(|| format!("cannot create {}", args.output.display()))?;
         }
-        let summary = merge_one(&args, &params, set, &targets, ctx)?;
+        let summary = merge_one(&args, &params, set, &targets, &mut Scales::default(), ctx)?;
         ctx.done(&targets.picture, describe(&summary))?;
         return ctx.emit_json(summary);
     }
@@ -215,8 +222,9 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
     check(args, sets, &all, ctx)?;
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot create {}", args.output.display()))?;
     let (mut merged, mut failed) = (Vec::new(), Vec::new());
+    let mut scales = Scales::of_several();
     for (set, targets) in sets.iter().zip(&all) {
-        match merge_one(args, params, set, targets, ctx) {
+        match merge_one(args, params, set, targets, &mut scales, ctx) {
             Ok(summary) => {
                 ctx.note(format_args!("{}: {}", targets.picture.display(), describe(&summary)));
                 merged.push(summary);
@@ -227,6 +235,9 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
                 failed.push(json!({ "set": set.name, "error": message }));
             }
         }
+    }
+    if let Some(note) = scales.note(args) {
+        ctx.note(note);
     }
     ctx.done(&args.output, format_args!("{} of {} brackets", merged.len(), sets.len()))?;
     let failures = failed.len();
@@ -311,6 +322,7 @@ fn params(args: &Args) -> anyhow::Result<Params> {
         None => Alignment::NonLinear,
     };
     Ok(Params {
+        scale: translume_hdr::Scale::Anchor,
         alignment,
         ghosts: ghosts.filter(|_| !args.no_deghost),
         anchor: args.anchor,
@@ -324,19 +336,27 @@ fn params(args: &Args) -> anyhow::Result<Params> {
 }
 
 /// Reads, merges and writes one bracket; returns what `--json` prints.
-fn merge_one(args: &Args, params: &Params, set: &Set, targets: &Targets, ctx: &Context) -> anyhow::Result<Value> {
+fn merge_one(
+    args: &Args,
+    params: &Params,
+    set: &Set,
+    targets: &Targets,
+    scales: &mut Scales,
+    ctx: &Context,
+) -> anyhow::Result<Value> {
     if let Some(anchor) = args.anchor.filter(|a| *a >= set.files.len()) {
         let n = set.files.len();
         return Err(Usage(format!("--anchor {anchor}: {} has {n} pictures, counted from 0", set.name)).into());
     }
     let bar = ctx.progress(set.files.len() as u64 * 2 + 5, &set.name);
     let start = std::time::Instant::now();
-    let exposures = sets::read(set, args, &|name| {
+    let (exposures, said) = sets::read(set, args, &|name| {
         bar.set_message(format!("reading {name}"));
         bar.inc(1);
     })?;
     let read_secs = start.elapsed().as_secs_f64();
-    let merged = translume_hdr::merge_bracket(&exposures, params, &|what| {
+    let params = Params { scale: scales.of(&exposures, args), ..params.clone() };
+    let mut merged = translume_hdr::merge_bracket(&exposures, &params, &|what| {
         bar.set_message(what.to_owned());
         bar.inc(1);
     })
@@ -345,6 +365,7 @@ fn merge_one(args: &Args, params: &Params, set: &Set, targets: &Targets, ctx: &C
         translume_hdr::Error::Response(_) => anyhow::Error::new(e).context(set.name.clone()),
         e => e.into(),
     })?;
+    merged.warnings.splice(0..0, said);
     for warning in &merged.warnings {
         ctx.warn(warning);
     }
@@ -373,7 +394,7 @@ fn picture(merged: &Merged, exposures: &[Exposure], args: &Args) -> anyhow::Resu
         calibrate(&mut pixels, cd_m2)?;
     }
     let metadata = Metadata { icc: None, chromaticities: None, ..anchor.codes.metadata.clone() };
-    Ok(Picture { pixels, alpha: None, metadata })
+    Ok(Picture { pixels, alpha: merged.alpha.clone(), metadata })
 }
 
 fn transform(pixels: &mut translume_image::Rgb32FImage, m: &colour::Matrix) {
@@ -459,11 +480,19 @@ fn write_outputs(
     Ok(())
 }
 
-/// White where some picture was left out.
+/// White where some picture was left out; exactly mid grey where all are clipped, so that the value is a lower bound.
 fn ghost_mask(merged: &Merged, size: (usize, usize)) -> Vec<u8> {
+    const BOUND: u8 = 128;
     let mut mask = vec![0u8; size.0 * size.1];
     for confidence in merged.confidences.iter().flatten() {
         mask.iter_mut().zip(confidence).for_each(|(m, c)| *m = (*m).max(255 - c));
+    }
+    for (m, bound) in mask.iter_mut().zip(&merged.bounds) {
+        *m = match (*bound, *m) {
+            (true, _) => BOUND,
+            (false, BOUND) => BOUND + 1,
+            (false, ghost) => ghost,
+        };
     }
     mask
 }
@@ -522,12 +551,12 @@ fn summary(set: &Set, exposures: &[Exposure], merged: &Merged, targets: &Targets
         .iter()
         .enumerate()
         .map(|(i, e)| {
-            let (mean, max) = merged.aligned[i].field.statistics(w, h);
+            let motion = merged.aligned[i].motion;
             json!({
                 "file": e.name,
                 "exposure": e.secs,
-                "displacement_mean_px": mean,
-                "displacement_max_px": max,
+                "displacement_mean_px": motion.mean_px,
+                "displacement_p95_px": motion.p95_px,
                 "affine": merged.aligned[i].field.affine,
                 "non_linear": merged.aligned[i].field.grid.is_some(),
                 "ghost_share": merged.confidences[i].as_deref().map_or(0.0, ghost_share),
@@ -554,13 +583,18 @@ fn summary(set: &Set, exposures: &[Exposure], merged: &Merged, targets: &Targets
 /// The same in words for people.
 fn describe(summary: &Value) -> String {
     let images = summary["images"].as_array().map_or(&[][..], Vec::as_slice);
-    let most = images.iter().filter_map(|i| i["displacement_max_px"].as_f64()).fold(0.0, f64::max);
+    let moved: Vec<f64> = images.iter().filter_map(|i| i["displacement_p95_px"].as_f64()).collect();
+    let moved = match moved.len() {
+        n @ 0..10 if n > 0 => moved.iter().map(|px| format!("{px:.1}")).collect::<Vec<_>>().join(" / "),
+        _ => format!("up to {:.1}", moved.iter().copied().fold(0.0, f64::max)),
+    };
     let ghosts = images.iter().filter_map(|i| i["ghost_share"].as_f64()).fold(0.0, f64::max);
     let total: f64 = summary["seconds"].as_object().map_or(0.0, |s| s.values().filter_map(Value::as_f64).sum());
     format!(
-        "{} pictures, anchor {}, moved by up to {most:.1} px, ghosts on up to {:.1} %, {total:.2} s",
+        "{} pictures, anchor {}, moved by {moved} px, ghosts on up to {:.1} %, clipped in all on {:.1} %, {total:.2} s",
         images.len(),
         summary["anchor"],
-        100.0 * ghosts
+        100.0 * ghosts,
+        100.0 * summary["bound_share"].as_f64().unwrap_or(0.0)
     )
 }

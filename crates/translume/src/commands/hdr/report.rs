@@ -51,13 +51,13 @@ pub(super) fn write(
         let number = |key: &str| figures[key].as_f64().unwrap_or(0.0);
         write!(
             rows,
-            "<tr><td><b>{}</b><br>exposure {:.5}<br>{}moved {:.2} px on average, {:.2} px at most{}<br>ghosts {:.1} %</td>\
+            "<tr><td><b>{}</b><br>exposure {:.5}<br>{}moved {:.2} px on average, {:.2} px at the 95th percentile of its textured places{}<br>ghosts {:.1} %</td>\
              <td><img src=\"input{i}.png\" alt=\"input\"></td><td><img src=\"motion{i}.png\" alt=\"displacement\"></td>{ghosts}</tr>",
             escape(&stem(&e.name)),
             e.secs,
             if i == merged.anchor { "<b>anchor</b><br>" } else { "" },
             number("displacement_mean_px"),
-            number("displacement_max_px"),
+            number("displacement_p95_px"),
             if figures["non_linear"] == true { ", non-linear" } else { "" },
             100.0 * number("ghost_share"),
         )?;

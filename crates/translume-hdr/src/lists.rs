@@ -1,4 +1,4 @@
-//! Exposures as people write them down, and folders that hold several brackets.
+//! Exposures as people write them down.
 
 use crate::{Error, Result};
 
@@ -66,66 +66,6 @@ fn fields(line: &str) -> Vec<&str> {
     words
 }
 
-/// How a folder's pictures, in their order, fall into brackets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Grouping {
-    /// By the repeating pattern of the exposures; one bracket if there is none.
-    Pattern,
-    /// Every so many pictures.
-    Count(usize),
-}
-
-/// Lengths of the brackets that pictures of these relative exposures and pixel sizes form, in order.
-///
-/// # Errors
-/// [`Error::Bracket`] when a count does not divide the number of pictures.
-pub fn group(exposures: &[f64], sizes: &[(usize, usize)], how: Grouping) -> Result<Vec<usize>> {
-    let n = exposures.len();
-    match how {
-        Grouping::Count(k) if k >= 2 && n.is_multiple_of(k) => Ok(vec![k; n / k]),
-        Grouping::Count(k) => {
-            Err(Error::Bracket(format!("{n} pictures do not make brackets of {k}; check --group or the folder")))
-        }
-        Grouping::Pattern => {
-            // Pictures of another size never belong to the bracket before.
-            let mut lengths = Vec::new();
-            let mut start = 0;
-            for end in 1..=n {
-                if end == n || sizes[end] != sizes[start] {
-                    lengths.extend(periods(&exposures[start..end]));
-                    start = end;
-                }
-            }
-            Ok(lengths)
-        }
-    }
-}
-
-/// The shortest period of two or more after which the exposure *steps* repeat (the light may have changed meanwhile).
-fn periods(exposures: &[f64]) -> Vec<usize> {
-    let n = exposures.len();
-    let same = |a: f64, b: f64| (a / b).ln().abs() < 0.12;
-    for period in 2..=n / 2 {
-        let repeats = n.is_multiple_of(period)
-            && (0..n / period).all(|k| {
-                (1..period)
-                    .all(|i| same(exposures[k * period + i] / exposures[k * period], exposures[i] / exposures[0]))
-            });
-        // A monotone series repeats its steps too: a bracket must return to where it began.
-        let returns = repeats
-            && (1..n / period).all(|k| {
-                let last = exposures[k * period - 1];
-                let step = exposures[1] / exposures[0];
-                !same(exposures[k * period] / last, step)
-            });
-        let differs = (1..period).any(|i| !same(exposures[i], exposures[0]));
-        if returns && differs {
-            return vec![period; n / period];
-        }
-    }
-    vec![n]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -148,18 +88,5 @@ mod tests {
         assert_eq!(parse_list(csv).unwrap(), [("a b.jpg".into(), 0.25)]);
         assert!(parse_list("a.jpg soon\nb.jpg later\n").unwrap_err().to_string().contains("line 2"));
         assert!(parse_list("# nothing\n").is_err());
-    }
-
-    #[test]
-    fn patterns_are_found() {
-        let size = |n: usize| vec![(4, 4); n];
-        let of = |e: &[f64]| group(e, &size(e.len()), Grouping::Pattern).unwrap();
-        assert_eq!(of(&[1.0, 4.0, 0.25, 2.0, 8.0, 0.5]), [3, 3]);
-        assert_eq!(of(&[1.0, 2.0, 4.0, 8.0]), [4], "one series, not two");
-        assert_eq!(of(&[0.25, 1.0, 4.0, 0.25, 1.0, 4.0, 0.25, 1.0, 4.0]), [3, 3, 3]);
-        assert_eq!(of(&[1.0, 1.3, 2.7]), [3]);
-        assert_eq!(group(&[1.0; 4], &[(1, 1), (1, 1), (2, 2), (2, 2)], Grouping::Pattern).unwrap(), [2, 2]);
-        assert!(group(&[1.0; 5], &size(5), Grouping::Count(2)).is_err());
-        assert_eq!(group(&[1.0; 6], &size(6), Grouping::Count(3)).unwrap(), [3, 3]);
     }
 }
