@@ -298,4 +298,15 @@ fn calibration_sets_the_luminance_of_the_centre() {
         }
     }
     assert!((sum / n - 250.0_f32).abs() < 1.0, "{}", sum / n);
+
+    // Sunlight goes beyond half floats: the file then has floats, unless halves were asked for.
+    let bright = |more: &[&str]| {
+        let json = usual(dir.path(), &[&["-o", "bright.exr", "--calibrate", "60000"], more].concat());
+        let picture = read_picture(&dir.path().join("bright.exr")).unwrap().pixels;
+        (picture.iter().copied().fold(0.0, f32::max), json["warnings"].to_string())
+    };
+    let (top, warnings) = bright(&[]);
+    assert!(top > 65504.0 && !warnings.contains("65504"), "{top} {warnings}");
+    let (top, warnings) = bright(&["--precision", "half"]);
+    assert!(top == 65504.0 && warnings.contains("65504"), "{top} {warnings}");
 }

@@ -123,9 +123,9 @@ pub(crate) struct Args {
     /// Also write the response curve
     #[arg(long, value_name = "CURVE.json", help_heading = "Outputs")]
     save_response: Option<PathBuf>,
-    /// Sample type of the result
-    #[arg(long, value_enum, default_value_t = Sample::Half, help_heading = "Outputs")]
-    precision: Sample,
+    /// Sample type of the result [default: half; float where values are beyond 65504]
+    #[arg(long, value_enum, help_heading = "Outputs")]
+    precision: Option<Sample>,
     /// Primaries of the result
     #[arg(long, value_enum, default_value_t = Space::Rec709, help_heading = "Outputs")]
     output_space: Space,
@@ -425,6 +425,12 @@ fn calibrate(pixels: &mut translume_image::Rgb32FImage, cd_m2: f64) -> anyhow::R
     Ok(())
 }
 
+/// Whether half floats will not do: asked for, or for values that they cannot hold.
+fn wants_floats(picture: &Picture, args: &Args) -> bool {
+    let beyond = || picture.pixels.iter().any(|v| v.abs() > 65504.0);
+    args.precision.map_or_else(beyond, |p| p == Sample::Float)
+}
+
 fn write_outputs(
     args: &Args,
     exposures: &[Exposure],
@@ -434,7 +440,7 @@ fn write_outputs(
     ctx: &Context,
 ) -> anyhow::Result<()> {
     let options = ExrOptions {
-        precision: if args.precision == Sample::Half { Precision::Half } else { Precision::Float },
+        precision: if wants_floats(picture, args) { Precision::Float } else { Precision::Half },
         software: Some(format!("translume {}", env!("CARGO_PKG_VERSION"))),
         command: Some(ctx.command_line.clone()),
         ..ExrOptions::default()
