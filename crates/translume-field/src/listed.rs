@@ -72,8 +72,10 @@ impl Pictures {
         if let Some((stem, ending)) = lower.rsplit_once(',').filter(|_| !lower.contains('.')) {
             lower = format!("{stem}.{ending}");
         }
-        let stem = Path::new(&lower).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-        let alike = self.by_name.get(&lower).or_else(|| self.by_stem.get(&stem));
+        // What follows the last point must be able to be an ending.
+        let is_ending = |e: &str| !e.is_empty() && e.len() <= 5 && e.bytes().all(|b| b.is_ascii_alphanumeric());
+        let stem = lower.rsplit_once('.').filter(|(_, ending)| is_ending(ending)).map(|(stem, _)| stem);
+        let alike = self.by_name.get(&lower).or_else(|| self.by_stem.get(stem?));
         match alike.map(Vec::as_slice).unwrap_or_default() {
             [] => Found::Missing,
             [one] => Found::Alike(one.clone()),
@@ -118,6 +120,7 @@ mod tests {
         assert_eq!(pictures.find("img_1,jpg"), Found::Alike(at("IMG_1.JPG")));
         assert!(matches!(pictures.find("a.tif"), Found::Unclear(names) if names.len() == 2));
         assert_eq!(pictures.find("c.png"), Found::Missing);
+        assert_eq!(pictures.find("a.png,0,0,1"), Found::Missing);
         assert_eq!(pictures.find("b.png"), Found::Missing);
     }
 

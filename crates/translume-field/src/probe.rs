@@ -78,7 +78,7 @@ fn is_in_picture(pixels: &[([f32; 3], f32)], ball: Ball) -> bool {
 const MOST_BRIGHT: f32 = 0.2;
 /// … this part at least in one place, a spot of their area or somewhat more …
 const LEAST_TOGETHER: f32 = 0.5;
-/// … and that many times as bright as the middle one of all.
+/// … and that many times as bright as three quarters of all, which the shading of a matt ball or a gloss is not.
 const LEAST_CONTRAST: f32 = 2.0;
 /// What the shading of a matt ball may differ from the fit, RMS, relative to the values'.
 const MOST_RESIDUAL: f64 = 0.25;
@@ -106,13 +106,13 @@ fn highlight(picture: &Picture, ball: Ball) -> Option<ProbeLight> {
         n = centre_of(Some(n))?;
     }
     let mut values: Vec<f32> = pixels.iter().map(|p| p.1).collect();
-    let middle = values.len() / 2;
-    let median = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let third = values.len() * 3 / 4;
+    let quartile = *values.select_nth_unstable_by(third, f32::total_cmp).1;
     let spot = (1.5 * (bright.len() as f32 / pixels.len() as f32).sqrt()).max(0.15);
     let together = bright.iter().filter(|p| near(&p.0, n, spot)).count() as f32;
     let is_lamp = (bright.len() as f32) < MOST_BRIGHT * pixels.len() as f32
         && together > LEAST_TOGETHER * bright.len() as f32
-        && most > LEAST_CONTRAST * median;
+        && most > LEAST_CONTRAST * quartile;
     if !is_lamp {
         return None;
     }
@@ -229,6 +229,11 @@ mod tests {
             // A gradient is what a ball lit from the side nearly is.
             let matt = shading(&of(value), BALL);
             assert!(matt.is_none() || name == "gradient", "{name}: {matt:?}");
+        }
+        // A matt ball is no mirror, wherever its light is.
+        for l in [[0.0, 0.0, 1.0f32], [0.6, 0.0, 0.8], [0.0, 0.8, 0.6]] {
+            let matt = picture(|n| 0.6 * (0..3).map(|i| n[i] * l[i]).sum::<f32>().max(0.0));
+            assert!(highlight(&matt, BALL).is_none(), "{l:?}: {:?}", highlight(&matt, BALL));
         }
         let half_out = Ball { x: -3.0, ..BALL };
         assert!(highlight(&picture(|n| if n[2] > 0.99 { 1.0 } else { 0.05 }), half_out).is_none());

@@ -612,7 +612,7 @@ fn lists_of_other_machines_are_read_and_what_is_odd_is_said() {
 fn a_ball_that_is_not_there_is_refused_and_lists_hold_no_absolute_paths() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    stack(here, 4, "exr");
+    stack(here, 12, "exr");
     let error = translume(here, &["field", "lights", "stack", "--ball", "20,16,12", "-o", "b.lp"]).error(1);
     assert!(error.contains("shows no light: is it there?"), "{error}");
     assert!(!here.join("b.lp").exists());
