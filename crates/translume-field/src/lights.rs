@@ -362,14 +362,17 @@ fn parse_table(text: &str, list: &Path) -> Result<Vec<[f32; 3]>> {
         .collect()
 }
 
-/// Warns of lights below the horizon, of which a list of a dome has none.
+/// Warns of lights below the horizon, of which a list of a dome has none, while those of a light stage are all around.
 fn check(shots: &[Shot], list: &Path) {
     // A lamp at the horizon may be measured a little below.
     let below: Vec<&Shot> = shots.iter().filter(|s| s.light[2] < -0.02).collect();
     let Some(first) = below.first() else { return };
+    if (0.25..=0.75).contains(&(below.len() as f32 / shots.len() as f32)) {
+        return;
+    }
     log::warn!(
-        "{}: {} of {} lights are below the horizon, behind the object (z < 0, as for {}): right for a light stage; for a dome, z \
-         must point from the object to the camera",
+        "{}: {} of {} lights are below the horizon, behind the object (z < 0, as for {}): z must \
+         point from the object to the camera",
         list.display(),
         below.len(),
         shots.len(),

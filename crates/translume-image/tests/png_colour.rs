@@ -197,3 +197,15 @@ fn pixels_that_are_cut_are_an_error() {
     let short = png(3, 8, 0, &[1], &[], &[]);
     assert!(decode_codes(&short, Path::new("a.png")).is_err());
 }
+
+#[test]
+fn palettes_that_are_cut_are_an_error_and_no_panic() {
+    for colours in [&[][..], &[1], &[1, 2], &[1, 2, 3], &[1, 2, 3, 4]] {
+        // An error or a picture, as the decoder likes, for codes within the palette and beyond it.
+        for row in [[0u8, 0], [0, 7]] {
+            let _ = decode_codes(&png(2, 8, 3, &row, &[chunk(b"PLTE", colours)], &[]), Path::new("a.png"));
+        }
+    }
+    let whole = png(2, 8, 3, &[0, 1], &[chunk(b"PLTE", &[1, 2, 3, 4, 5, 6])], &[]);
+    assert_eq!(decode_codes(&whole, Path::new("a.png")).unwrap().samples, Samples::U8(vec![1, 2, 3, 4, 5, 6]));
+}

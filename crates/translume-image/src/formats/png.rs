@@ -3,7 +3,7 @@
 use super::png_chunks;
 use crate::limits::{self, Claim};
 use crate::raster::Raster;
-use crate::{Error, Result, Samples, atomic};
+use crate::{Error, Result, Samples, atomic, guard};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -21,7 +21,9 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
     claim.samples(path)?;
     // The pixels are counted here; this limit is for what the decoder holds beside them (rows, chunks).
     decoder.set_limits(png::Limits { bytes: 64 << 20 });
-    let mut reader = decoder.read_info().map_err(invalid)?;
+    // The png crate (0.18) panics on palettes that are cut in the middle of a colour.
+    let damaged = || Error::invalid(path, "damaged PNG");
+    let mut reader = guard::run(|| decoder.read_info()).ok_or_else(damaged)?.map_err(invalid)?;
     let (colour, depth) = reader.output_color_type();
     let channels = colour.samples();
     // Palettes and gray of a few bits grow here; what the file must hold was checked above.
@@ -29,11 +31,11 @@ pub(crate) fn read(file: &[u8], path: &Path) -> Result<Raster> {
 
     let (samples, bits) = if depth == png::BitDepth::Sixteen {
         let mut big_endian = limits::buffer::<u8>(path, count * 2)?;
-        reader.next_frame(&mut big_endian).map_err(invalid)?;
+        guard::run(|| reader.next_frame(&mut big_endian)).ok_or_else(damaged)?.map_err(invalid)?;
         (Samples::U16(big_endian.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)).collect()), 16)
     } else {
         let mut v = limits::buffer::<u8>(path, count)?;
-        reader.next_frame(&mut v).map_err(invalid)?;
+        guard::run(|| reader.next_frame(&mut v)).ok_or_else(damaged)?.map_err(invalid)?;
         (Samples::U8(v), 8)
     };
     let facts = png_chunks::facts(file, bits, path);

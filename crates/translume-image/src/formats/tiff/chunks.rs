@@ -49,7 +49,8 @@ impl Layout {
             file.integer(d, tag).filter(|v| *v <= u64::from(u32::MAX)).map(|v| v as usize).ok_or_else(|| missing(what))
         };
         let (width, height) = (side(256, "width")?, side(257, "height")?);
-        let samples = number(277, 1) as usize;
+        // The tag has 16 bits, but a damaged file may give it any type.
+        let samples = number(277, 1).min(u64::from(u16::MAX)) as usize;
         let bits = file.integers(d, 258).unwrap_or_else(|| vec![1]);
         let formats = file.integers(d, 339).unwrap_or_else(|| vec![1]);
         if bits.iter().any(|b| *b != bits[0]) || formats.iter().any(|f| *f != formats[0]) {
