@@ -16,7 +16,7 @@ pub(super) enum ScaleBy {
 #[derive(Default)]
 pub(super) struct Scales {
     /// There are several.
-    pub(super) many: bool,
+    many: bool,
     /// The exposures of the first, from short to long.
     first: Option<Vec<f64>>,
     /// How many have its scale, and how many one of their own because their exposures differ.
@@ -25,6 +25,11 @@ pub(super) struct Scales {
 }
 
 impl Scales {
+    /// Of a run of several brackets.
+    pub(super) fn of_many() -> Self {
+        Self { many: true, ..Self::default() }
+    }
+
     /// The scale of a bracket of these exposures.
     pub(super) fn of(&mut self, exposures: &[Exposure], args: &Args) -> Scale {
         let mut own: Vec<f64> = exposures.iter().map(|e| e.secs).collect();
