@@ -23,12 +23,21 @@ const REACH: usize = 8;
 const GAP: usize = 3;
 /// How far below the clip, in encoded units, ringing inside a clipped area can swing.
 const SWING: f32 = 0.3;
+/// At the rim of a clipped area, where nothing surrounds a pixel, it is less: beyond, the edge itself is meant. This
+/// share of the 7 × 7 pixels around must be clipped.
+const RIM_SWING: f32 = 0.12;
+const RIM_SHARE: f32 = 0.4;
 
 /// Whether codes beside a clip may be ringing of what is clipped. All three channels must be near their clips: a twig
 /// before a white sky is dark in one at least, and a pixel of which only some channels were doubted would change its hue.
 pub(crate) fn may_ring(shot: &Shot<'_>, codes: &[f32]) -> bool {
+    all_within(shot, codes, SWING)
+}
+
+/// Whether all channels lie less than `swing` (in encoded units) under their clips.
+fn all_within(shot: &Shot<'_>, codes: &[f32], swing: f32) -> bool {
     let d = &shot.decoder;
-    let near = |c: usize| d.encoded(codes[c]) >= d.encoded(d.clip(c)) - SWING;
+    let near = |c: usize| d.encoded(codes[c]) >= d.encoded(d.clip(c)) - swing;
     (0..3).any(|c| d.clip(c).is_finite()) && (0..3).all(near)
 }
 
@@ -50,6 +59,8 @@ pub(crate) fn marks(shot: &Shot<'_>) -> Option<Vec<u8>> {
     }
     let near = widened(&clipped, w, REACH, |a, b| a | b);
     let closed = widened(&widened(&clipped, w, GAP, |a, b| a | b), w, GAP, |a, b| a & b);
+    let around: Vec<f32> = clipped.iter().map(|b| f32::from(u8::from(*b != 0))).collect();
+    let around = crate::ghost::box_mean(&around, w, GAP);
     clipped.par_chunks_mut(w).zip(closed.par_chunks(w)).zip(near.par_chunks(w)).enumerate().for_each_init(
         || vec![0.0f32; 3 * w],
         |row, (y, ((out, closed), near))| {
@@ -61,6 +72,9 @@ pub(crate) fn marks(shot: &Shot<'_>) -> Option<Vec<u8>> {
             for (x, (o, p)) in out.iter_mut().zip(row.as_chunks::<3>().0).enumerate() {
                 if closed[x] & !*o != 0 && may_ring(shot, p) {
                     *o |= closed[x];
+                }
+                if around[y * w + x] > RIM_SHARE && all_within(shot, p, RIM_SWING) {
+                    *o |= near[x];
                 }
                 *o |= if near[x] != 0 { BESIDE } else { 0 };
             }

@@ -15,9 +15,9 @@ const AROUND: usize = 3;
 /// Share of the cells that must be well exposed in both pictures.
 const ENOUGH: f32 = 0.15;
 /// A likeness below this is that of different scenes.
-pub(crate) const DIFFERENT: f32 = 0.2;
+pub(crate) const DIFFERENT: f32 = 0.3;
 /// A likeness above this is that of one scene.
-pub(crate) const SAME: f32 = 0.4;
+pub(crate) const SAME: f32 = 0.45;
 
 /// A small picture of ranks.
 #[derive(Clone, Debug)]

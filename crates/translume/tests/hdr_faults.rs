@@ -12,7 +12,7 @@ use std::io::Cursor;
 use std::path::Path;
 use tempfile::tempdir;
 use translume_hdr::simulate::{Camera, Pose, response};
-use translume_image::{Rgb32FImage, Samples, read_picture, write_png8};
+use translume_image::{Rgb32FImage, Samples, read_exr_channels, read_picture, write_png8};
 
 #[track_caller]
 fn hdr(dir: &Path, arguments: &[&str]) -> Value {
@@ -29,13 +29,18 @@ fn shots_of(scene: &Rgb32FImage, pose: &Pose, camera: &Camera, secs: &[f64]) -> 
     secs.iter().enumerate().map(shot).collect()
 }
 
-/// A scene of its own for each number.
+/// A scene of its own for each number: patches of several sizes, brighter to the right.
 fn another_scene(number: u32) -> Rgb32FImage {
-    let scene = scene();
-    let (w, h) = scene.dimensions();
-    // Other parts of the noise, side by side in another order.
-    let cell = |v: u32, n: u32, k: u32| (v / 20 * (2 * k + 1) + k * 7) % (n / 20) * 20 + v % 20;
-    Rgb32FImage::from_fn(w, h, |x, y| *scene.get_pixel(cell(x, w / 20 * 20, number), cell(y, h / 20 * 20, number)))
+    let (w, h) = scene().dimensions();
+    let mut rng = translume_core::rng::Pcg32::new(100 + u64::from(number), 0);
+    let mut layer =
+        |cell: u32| -> Vec<f32> { (0..(w / cell + 1) * (h / cell + 1)).map(|_| rng.next_f32() - 0.5).collect() };
+    let layers = [5u32, 13, 31].map(|cell| (cell, layer(cell)));
+    Rgb32FImage::from_fn(w, h, |x, y| {
+        let patches = |(cell, v): &(u32, Vec<f32>)| v[(y / cell * (w / cell + 1) + x / cell) as usize];
+        let light = (1.3 * layers.iter().map(patches).sum::<f32>() + 2.5 * x as f32 / w as f32 - 2.0).exp();
+        image::Rgb([light, 0.9 * light, 0.8 * light])
+    })
 }
 
 fn jpeg(path: &Path, (w, h): (usize, usize), rgb: &[u8], secs: Option<f64>, quality: u8) {
@@ -121,11 +126,16 @@ fn a_lamp_that_all_clip_is_bright_and_white_in_spite_of_jpeg() {
     let camera = Camera { size: (200, 150), ..camera() };
     let scene = lamp();
     let view = camera.view(&scene, &Pose::default(), None);
-    let inside: Vec<bool> = view.pixels().map(|p| p.0[0] > 40.0).collect();
+    // Without its rim, which JPEG mixes with what is around it.
+    let (w, h) = camera.size;
+    let lit = |x: usize, y: usize| view.get_pixel(x as u32, y as u32).0[0] > 40.0;
+    let within = |x: usize, y: usize| (3..w - 3).contains(&x) && (3..h - 3).contains(&y);
+    let around = |x: usize, y: usize| [(x - 3, y), (x + 3, y), (x, y - 3), (x, y + 3)].iter().all(|p| lit(p.0, p.1));
+    let inside: Vec<bool> = (0..w * h).map(|i| within(i % w, i / w) && around(i % w, i / w)).collect();
     assert!(inside.iter().filter(|i| **i).count() > 1000);
     let names = ["a.jpg", "b.jpg", "c.jpg"];
     for (name, rgb) in names.iter().zip(shots_of(&scene, &Pose::default(), &camera, &SECS)) {
-        jpeg(&dir.path().join(name), camera.size, &rgb, None, 70);
+        jpeg(&dir.path().join(name), camera.size, &rgb, None, 80);
     }
     for preset in ["tripod", "handheld"] {
         let json = hdr(
@@ -157,8 +167,8 @@ fn a_lamp_that_all_clip_is_bright_and_white_in_spite_of_jpeg() {
         let flagged =
             inside.iter().enumerate().filter(|(i, inside)| **inside && mask.unit(3 * i) == 128.0 / 255.0).count();
         assert!(flagged * 10 > 9 * lamp.len(), "{preset}: {flagged} of {}", lamp.len());
-        let share = lamp.len() as f64 / f64::from(out.width() * out.height());
-        assert!((json["bound_share"].as_f64().unwrap() / share - 1.0).abs() < 0.25, "{json}");
+        let share = std::f64::consts::PI * 24.0 * 24.0 / f64::from(out.width() * out.height());
+        assert!((json["bound_share"].as_f64().unwrap() / share - 1.0).abs() < 0.1, "{json}");
     }
 }
 
@@ -195,7 +205,13 @@ fn transparent_pixels_do_not_count() {
         let seen = i % w >= 5;
         assert_eq!(alpha[i], f32::from(u8::from(seen)));
         let (p, q) = (p.0.iter().sum::<f32>(), q.0.iter().sum::<f32>());
-        assert!(if seen { (p / q).ln().abs() < 0.35 || p < 0.1 } else { q == 0.0 }, "({}, {}): {p} {q}", i % w, i / w);
+        // Where the shortest shot is cut off, what the others clip is lost.
+        assert!(
+            if seen { (p / q).ln().abs() < 0.35 || p < 0.1 || p > 2.0 } else { q == 0.0 },
+            "({}, {}): {p} {q}",
+            i % w,
+            i / w
+        );
     }
 }
 
@@ -286,12 +302,22 @@ fn a_turned_camera_is_found_and_another_scene_is_said() {
     let turned = Pose { rotation_rad: 27f64.to_radians(), shift_px: [4.0, 2.0] };
     write("turned.png", &shots_of(&scene(), &turned, &camera, &SECS)[2]);
     write("other.png", &shots_of(&another_scene(2), &Pose::default(), &camera, &SECS)[2]);
-    let run = |third| hdr(dir.path(), &["a.png", "b.png", third, EXPOSURES, "--anchor=1", "-o", "o.exr"]);
+    let run =
+        |third| hdr(dir.path(), &["a.png", "b.png", third, EXPOSURES, "--anchor=1", "--fields=fields", "-o", "o.exr"]);
     let json = run("turned.png");
-    let affine: Vec<f64> =
-        json["images"][2]["affine"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
-    let degrees = affine[3].atan2(affine[0]).to_degrees();
-    assert!((degrees.abs() - 27.0).abs() < 0.3, "{degrees}");
+    let planes = read_exr_channels(&dir.path().join("fields/02-turned.exr"), 0).unwrap();
+    let channel = |n: &str| &planes.planes.iter().find(|c| c.0 == n).unwrap().1;
+    let (w, h) = camera.size;
+    let mut errors = Vec::new();
+    for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+        let place = turned.place([x as f64, y as f64], camera.size);
+        if (4.0..w as f64 - 4.0).contains(&place[0]) && (4.0..h as f64 - 4.0).contains(&place[1]) {
+            let found = [x as f64 + f64::from(channel("X")[y * w + x]), y as f64 + f64::from(channel("Y")[y * w + x])];
+            errors.push((found[0] - place[0]).hypot(found[1] - place[1]));
+        }
+    }
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(mean < 1.0, "{mean} px off; {}", json["images"][2]["affine"]);
     assert_eq!(json["warnings"], serde_json::json!([]));
     let json = run("other.png");
     let said = json["warnings"].to_string();

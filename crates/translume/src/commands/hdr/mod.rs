@@ -222,7 +222,7 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
     check(args, sets, &all, ctx)?;
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot create {}", args.output.display()))?;
     let (mut merged, mut failed) = (Vec::new(), Vec::new());
-    let mut scales = Scales::of_several();
+    let mut scales = Scales::of_many();
     for (set, targets) in sets.iter().zip(&all) {
         match merge_one(args, params, set, targets, &mut scales, ctx) {
             Ok(summary) => {

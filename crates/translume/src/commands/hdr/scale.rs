@@ -25,8 +25,8 @@ pub(super) struct Scales {
 }
 
 impl Scales {
-    /// For several brackets.
-    pub(super) fn of_several() -> Self {
+    /// Of a run of several brackets.
+    pub(super) fn of_many() -> Self {
         Self { many: true, ..Self::default() }
     }
 
