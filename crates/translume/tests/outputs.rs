@@ -50,8 +50,10 @@ fn an_output_that_is_an_input_is_refused_by_any_name() {
     let sky = SCENE.replace("constant\"/>", "envmap\"><string name=\"filename\" value=\"sub/../a.png\"/></emitter>");
     fs::write(at("sky.xml"), sky).unwrap();
     symlink("a.png", at("sky.exr")).unwrap();
-    refused(&["render", "sky.xml", "-o", "sky.exr"]);
-    refused(&["render", "sky.xml", "-o", "x.exr", "--preview", "hard.png"]);
+    for args in [&["-o", "sky.exr"][..], &["-o", "x.exr", "--preview", "hard.png"]] {
+        let run = translume(dir.path(), &[&["render", "sky.xml"], args].concat());
+        assert!(run.status == 2 && run.stderr.contains("also read"), "{args:?}: {}", run.stderr);
+    }
     refused(&["mesh", "convert", "m.ply", "-o", "m.ply"]);
     refused(&["merge", "s.exr", "-o", "s.exr"]);
     let error = translume(dir.path(), &["image", "info", "a.png", "--log-file", "a.png"]).error(2);
@@ -95,6 +97,9 @@ fn the_name_says_the_format_or_nothing_is_written() {
     for args in [&["field", "compress", ".", "-o", "x.ptm"][..], &["image", "convert", "a.png", "-o", "x"]] {
         assert!(translume(dir.path(), args).error(2).contains("must be named ."), "{args:?}");
     }
+    // A field has one format: a name that says none will do.
+    let error = translume(dir.path(), &["field", "compress", ".", "-o", "field.out"]).error(1);
+    assert!(!error.contains("field.out"), "{error}");
     assert!(translume(dir.path(), &["image", "convert", "a.png", "-o", "new.exr/"]).error(1).contains("folder"));
     // A name without an ending is a folder to `hdr`, with or without a slash, whether it is there or not.
     for name in ["one", "two/", "one/"] {

@@ -71,6 +71,22 @@ pub(crate) fn wants(path: &Path, ending: &str, what: &str) -> Result<(), Usage> 
     if named || atomic::is_stream(path) { Ok(()) } else { Err(Usage(ending_wanted(path, what, &[ending]))) }
 }
 
+/// Endings that say another format than that of a field.
+const NO_FIELDS: [&str; 22] = [
+    "ptm", "lptm", "rti", "hsh", "lp", "csv", "json", "zip", "gltf", "ply", "obj", "exr", "hdr", "pfm", "png", "jpg",
+    "jpeg", "tif", "tiff", "ktx2", "html", "xml",
+];
+
+/// Refuses a name for a field that says another format; `.glb` is the usual one, and a name that says none will do.
+///
+/// # Errors
+/// Names the ending.
+pub(crate) fn wants_field(path: &Path) -> Result<(), Usage> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let other = NO_FIELDS.contains(&ending.as_str()) && !atomic::is_stream(path);
+    if other { Err(Usage(ending_wanted(path, "field", &["glb"]))) } else { Ok(()) }
+}
+
 /// Writes display values as `kind`, which is one of PNG, TIFF and JPEG; `bits` is 8 or 16 (JPEG has 8).
 pub(crate) fn save_display(shown: &Display, path: &Path, kind: Kind, bits: u8) -> anyhow::Result<()> {
     let size = (shown.width, shown.height);

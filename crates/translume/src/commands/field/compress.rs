@@ -45,7 +45,7 @@ Examples:
 pub(crate) struct Args {
     #[command(flatten)]
     source: super::StackArgs,
-    /// Output file
+    /// Output file: a binary glTF file, .glb, whatever its name; names of other formats are refused
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// What to make
@@ -242,7 +242,7 @@ impl Args {
 
 pub(crate) fn run(args: &Args, ctx: &Context) -> anyhow::Result<()> {
     let params = args.params()?;
-    super::super::target::wants(&args.output, "glb", "field")?;
+    super::super::target::wants_field(&args.output)?;
     ctx.claim(&[], &[&args.output])?;
     let start = std::time::Instant::now();
     let mut stack = args.source.open()?;

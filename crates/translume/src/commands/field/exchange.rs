@@ -131,7 +131,7 @@ fn ball(text: &str) -> Result<Ball, String> {
 }
 
 pub(super) fn import(args: &ImportArgs, ctx: &Context) -> anyhow::Result<()> {
-    super::super::target::wants(&args.output, "glb", "field")?;
+    super::super::target::wants_field(&args.output)?;
     ctx.claim(&[&args.folder], &[&args.output])?;
     let field = relightlab::import(&args.folder)?;
     file::write(&args.output, &field, &ctx.command_line, None)?;
