@@ -130,7 +130,7 @@ fn weight_of(m: &Merge<'_>, strip: &Strip, k: usize, c: usize, p: usize) -> f32 
         return 0.0;
     }
     let (d, u) = (&m.shots[k].decoder, strip.codes[3 * p + c]);
-    let weight = match m.weights {
+    match m.weights {
         Weights::Spline => {
             let e = d.encoded(u);
             if (k == m.longest && e < 0.5) || (k == m.shortest && e > 0.5) { 1.0 } else { d.spline_weight(c, u) }
@@ -143,8 +143,7 @@ fn weight_of(m: &Merge<'_>, strip: &Strip, k: usize, c: usize, p: usize) -> f32 
             let fade = ((d.encoded(d.clip(c)).min(CLIPPED) - d.encoded(u)) / 0.1).clamp(0.0, 1.0);
             1e-3 * fade / variance
         }
-    };
-    weight
+    }
 }
 
 /// How surely (0 to 1) picture `k` is refuted at a pixel, all channels together, by shorter pictures: by one that is

@@ -207,7 +207,7 @@ fn transparent_pixels_do_not_count() {
         let (p, q) = (p.0.iter().sum::<f32>(), q.0.iter().sum::<f32>());
         // Where the shortest shot is cut off, what the others clip is lost.
         assert!(
-            if seen { (p / q).ln().abs() < 0.35 || p < 0.1 || p > 2.0 } else { q == 0.0 },
+            if seen { (p / q).ln().abs() < 0.35 || !(0.1..=2.0).contains(&p) } else { q == 0.0 },
             "({}, {}): {p} {q}",
             i % w,
             i / w
