@@ -337,7 +337,7 @@ fn method(args: &Args, world: &World, ctx: &Context) -> (String, Settings) {
         match nearest.kind {
             Likeness::Same => {}
             Likeness::Like => {
-                ctx.note(format!("the scene's integrator `{wanted}` is rendered with `{}`", nearest.name))
+                ctx.note(format!("the scene's integrator `{wanted}` is rendered with `{}`", nearest.name));
             }
             Likeness::Unknown => {
                 let what =
