@@ -271,7 +271,7 @@ mod tests {
         f.iter_mut().for_each(|f| f.auto_bracket = Some(true));
         f[3].auto_bracket = Some(false);
         let found = group(&f).unwrap();
-        assert_eq!((found.sets, found.alone), (vec![0..3], vec![3]));
+        assert_eq!((found.sets.as_slice(), found.alone.as_slice()), (std::slice::from_ref(&(0..3)), &[3][..]));
     }
 
     #[test]

@@ -103,9 +103,9 @@ mod tests {
         third.codes.metadata.orientation = Orientation::BottomRight;
         let before = third.codes.samples.clone();
         let mut bracket = [shot("a", 0.3, good), shot("b", 0.6, good), third];
-        assert_eq!(one_orientation(&mut bracket), [String::new(); 0]);
+        assert!(one_orientation(&mut bracket).is_empty());
         assert_eq!(bracket[2].codes.samples, before);
         let mut all = [shot("a", 0.3, Orientation::RightTop), shot("b", 0.6, Orientation::RightTop)];
-        assert_eq!(one_orientation(&mut all), [String::new(); 0]);
+        assert!(one_orientation(&mut all).is_empty());
     }
 }
