@@ -17,7 +17,7 @@ fn scene(shape: &str, model: &str, scale: f64) -> String {
           <film type=\"hdrfilm\"><integer name=\"width\" value=\"24\"/><integer name=\"height\" value=\"24\"/></film></sensor>
          <shape {shape}<bsdf type=\"subsurface\"><string name=\"filename\" value=\"{model}\"/>
           <float name=\"scale\" value=\"{scale}\"/></bsdf></shape>
-         <emitter type=\"projector\"><float name=\"fov\" value=\"20\"/><float name=\"scale\" value=\"40000\"/>
+         <emitter type=\"projector\"><float name=\"fov\" value=\"20\"/><float name=\"scale\" value=\"12732\"/>
           <transform name=\"to_world\"><lookat origin=\"0,0,40\" target=\"0,0,0\" up=\"0,1,0\"/></transform>
           <texture name=\"irradiance\" type=\"bitmap\"><string name=\"filename\" value=\"half.pfm\"/></texture></emitter>
          <emitter type=\"constant\"><float name=\"radiance\" value=\"0.01\"/></emitter></scene>"
