@@ -40,7 +40,7 @@ pub struct Count {
 }
 
 impl Count {
-    /// From what [`Count::save`] wrote; nothing is zero.
+    /// From what `Count::save` wrote; nothing is zero.
     pub fn load(state: &Path) -> Self {
         let text = std::fs::read_to_string(state.join("count")).unwrap_or_default();
         let mut numbers = text.split(' ').map(|n| n.parse().unwrap_or(0));

@@ -320,7 +320,7 @@ pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     write_about(mesh, DVec3::ZERO, out)
 }
 
-/// [`write`] with `origin` added to all positions.
+/// [`write()`] with `origin` added to all positions.
 ///
 /// # Errors
 /// Those of `out`.

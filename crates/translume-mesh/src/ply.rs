@@ -526,7 +526,7 @@ pub fn write(mesh: &TriMesh, out: &mut dyn Write) -> std::io::Result<()> {
     write_about(mesh, DVec3::ZERO, out)
 }
 
-/// [`write`] with `origin` added to all positions, which are doubles then unless it is zero.
+/// [`write()`] with `origin` added to all positions, which are doubles then unless it is zero.
 ///
 /// # Errors
 /// Those of `out`.

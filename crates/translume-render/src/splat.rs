@@ -2,7 +2,7 @@
 //!
 //! The paths of a tile splat all over the film, in an order that depends on the threads. Sums are therefore of fixed point in 128
 //! bits, which is associative: the same bits for any number of threads, any lengths of passes, any interruption. The unit is 2⁻⁶⁴ of a
-//! power of two that the scene's light decides ([`Splats::new`]), so that sums of pictures of any brightness neither saturate nor vanish.
+//! power of two that the scene's light decides (`Splats::new`), so that sums of pictures of any brightness neither saturate nor vanish.
 
 use crate::Rgb;
 use crate::filter::FilterSampler;

@@ -10,7 +10,7 @@ impl Asset {
     /// (alpha, or the sign of a tangent) is dropped for `N = 3`.
     ///
     /// # Errors
-    /// A fault that names the accessor, as [`Error`] with this file's path.
+    /// A fault that names the accessor, as an error with this file's path.
     pub fn accessor<const N: usize>(&self, index: usize) -> Result<Vec<[f32; N]>> {
         self.floats(index).map_err(|fault| fault.at(&self.path))
     }
@@ -18,7 +18,7 @@ impl Asset {
     /// The bytes of a buffer view, as images use them.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when there is no such view or its buffer is shorter.
+    /// [`crate::Error::Invalid`] when there is no such view or its buffer is shorter.
     pub fn bytes(&self, view: usize) -> Result<&[u8]> {
         let read = || -> Parsed<&[u8]> {
             let Some(v) = self.document.buffer_views.get(view) else {
