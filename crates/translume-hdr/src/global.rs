@@ -335,16 +335,17 @@ mod tests {
         (anchor, other)
     }
 
-    fn run(anchor: Plane, other: Plane) -> Affine {
-        let (a, b) = (anchor.pyramid(COARSEST), other.pyramid(COARSEST));
+    /// What `estimate` says of each of `wide`.
+    fn estimates<const N: usize>(a: &[Plane], b: &[Plane], wide: [bool; N]) -> [Affine; N] {
         let gradients: Vec<_> = a.iter().map(Plane::gradients).collect();
-        let levels: Vec<_> = a
-            .iter()
-            .zip(&b)
-            .zip(&gradients)
-            .map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other })
-            .collect();
-        estimate(&levels, false)
+        let levels = a.iter().zip(b).zip(&gradients);
+        let levels: Vec<_> = levels.map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other }).collect();
+        wide.map(|wide| estimate(&levels, wide))
+    }
+
+    fn run(anchor: Plane, other: Plane) -> Affine {
+        let [found] = estimates(&anchor.pyramid(COARSEST), &other.pyramid(COARSEST), [false]);
+        found
     }
 
     fn worst(m: &Affine, truth: &Affine) -> f64 {
@@ -376,14 +377,7 @@ mod tests {
             let truth = [c, -s, dx + 119.5 * (1.0 - c) + 89.5 * s, s, c, dy - 119.5 * s + 89.5 * (1.0 - c)];
             let (anchor, other) = pair(&truth);
             let (a, b) = (anchor.pyramid(COARSEST), other.pyramid(COARSEST));
-            let gradients: Vec<_> = a.iter().map(Plane::gradients).collect();
-            let levels: Vec<_> = a
-                .iter()
-                .zip(&b)
-                .zip(&gradients)
-                .map(|((anchor, other), (gx, gy))| Level { anchor, gx, gy, other })
-                .collect();
-            let (near, wide) = (estimate(&levels, false), estimate(&levels, true));
+            let [near, wide] = estimates(&a, &b, [false, true]);
             assert!(worst(&wide, &truth) < 0.3, "{degrees}°: {} px", worst(&wide, &truth));
             let (near, wide) = (agreement(&a, &b, &near), agreement(&a, &b, &wide));
             assert!(wide > 0.8 && near < wide - 0.2, "{degrees}°: {near} {wide}");

@@ -10,25 +10,27 @@ pub(crate) fn text(bytes: &[u8]) -> std::result::Result<&[u8], Fault> {
     Ok(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes))
 }
 
-/// Lines that hold something beside a comment after `#`, with their numbers from 1; any line ends.
-pub(crate) fn lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
-    let mut rest = text;
-    let mut number = 0;
+/// All lines, comments after `#` off, with their numbers from 1; any line ends.
+pub(crate) fn all_lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    let (mut rest, mut number) = (text, 0);
     std::iter::from_fn(move || {
-        while !rest.is_empty() {
-            let end = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
-            let line = rest[..end].split(|&b| b == b'#').next().unwrap_or_default().trim_ascii();
-            rest = match &rest[end..] {
-                [b'\r', b'\n', after @ ..] | [_, after @ ..] => after,
-                [] => &[],
-            };
-            number += 1;
-            if !line.is_empty() {
-                return Some((number, line));
-            }
+        if rest.is_empty() {
+            return None;
         }
-        None
+        let end = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
+        let line = rest[..end].split(|&b| b == b'#').next().unwrap_or_default().trim_ascii();
+        rest = match &rest[end..] {
+            [b'\r', b'\n', after @ ..] | [_, after @ ..] => after,
+            [] => &[],
+        };
+        number += 1;
+        Some((number, line))
     })
+}
+
+/// Those of [`all_lines`] that hold something.
+pub(crate) fn lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    all_lines(text).filter(|(_, line)| !line.is_empty())
 }
 
 /// The words of a line.

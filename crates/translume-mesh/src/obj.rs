@@ -8,7 +8,7 @@
 
 use crate::error::{Error, Fault, Result, invalid};
 use crate::files::{Loaded, Part, bytes_of};
-use crate::lines::{shown, text};
+use crate::lines::{all_lines, shown, text};
 use crate::mesh::TriMesh;
 use crate::{origin, polygon};
 use glam::DVec3;
@@ -31,16 +31,8 @@ pub fn read(path: &Path, bytes: &[u8]) -> Result<Loaded> {
 
 /// Calls `parse` with each line, continuations joined, comments and line ends off; adds the line's number to faults.
 fn lines(bytes: &[u8], mut parse: impl FnMut(&[u8]) -> Parsed<()>) -> Parsed<()> {
-    let bytes = text(bytes)?;
-    let (mut rest, mut number, mut joined) = (bytes, 0, Vec::new());
-    while !rest.is_empty() {
-        let end = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
-        let line = rest[..end].split(|&b| b == b'#').next().unwrap_or_default().trim_ascii();
-        rest = match &rest[end..] {
-            [b'\r', b'\n', after @ ..] | [_, after @ ..] => after,
-            [] => &[],
-        };
-        number += 1;
+    let mut joined = Vec::new();
+    for (number, line) in all_lines(text(bytes)?) {
         if let Some(begun) = line.strip_suffix(b"\\") {
             joined.extend_from_slice(begun);
             joined.push(b' ');

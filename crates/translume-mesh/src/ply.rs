@@ -5,6 +5,10 @@
 //! coordinates (`texcoord` lists) are not kept, which is reported. What a line of an ASCII file holds beyond its record
 //! is passed over, and said, where there are lines enough for one each.
 
+mod attribute;
+
+pub use attribute::attribute;
+
 use crate::error::{Fault, Result, invalid};
 use crate::files::{Loaded, Part};
 use crate::mesh::TriMesh;
@@ -100,7 +104,7 @@ struct Element {
 
 fn parse(bytes: &[u8], loaded: &mut Loaded) -> Parsed<TriMesh> {
     let (encoding, elements, body) = header(bytes, &mut loaded.warnings)?;
-    let mut source = Source { bytes: body, at: 0, encoding, by_line: by_line(encoding, &elements, body), surplus: 0 };
+    let mut source = Source::new(encoding, &elements, body);
     let mut mesh = TriMesh::default();
     let mut polygons = Polygons::default();
     for element in &elements {
@@ -222,7 +226,11 @@ struct Source<'a> {
     surplus: u64,
 }
 
-impl Source<'_> {
+impl<'a> Source<'a> {
+    fn new(encoding: Encoding, elements: &[Element], body: &'a [u8]) -> Self {
+        Self { bytes: body, at: 0, encoding, by_line: by_line(encoding, elements, body), surplus: 0 }
+    }
+
     fn left(&self) -> usize {
         self.bytes.len() - self.at
     }

@@ -4,6 +4,7 @@ use crate::cli::{FAILED, GlobalOptions, Usage, WRONG_USAGE};
 use crate::signals;
 use anyhow::Context as _;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressFinish, ProgressStyle};
+use std::collections::HashMap;
 use std::ffi::OsString;
 use std::fmt::Display;
 use std::fs::File;
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
-use translume_image::atomic::{self, Place, Stream};
+use translume_image::atomic::{self, FileId, Place, Stream};
 use translume_image::limits::RAISE_LIMIT;
 
 /// What a verb gets besides its own arguments.
@@ -171,14 +172,24 @@ impl Context {
     /// # Errors
     /// Says which.
     pub(crate) fn protect(&self, inputs: &[&Path], outputs: &[&Path]) -> anyhow::Result<()> {
-        for (i, output) in outputs.iter().enumerate() {
-            let own = self.own_files.iter().map(PathBuf::as_path);
-            if let Some(input) = inputs.iter().copied().chain(own).find(|input| endangers(output, input)) {
-                let which = if *output == input { String::new() } else { format!(" ({})", input.display()) };
+        let inputs: Vec<&Path> = inputs.iter().copied().chain(self.own_files.iter().map(PathBuf::as_path)).collect();
+        // Each name is looked up once: a batch has thousands of both.
+        let id = |path| FileId::of(path).ok_or(path);
+        let read: HashMap<_, &Path> = inputs.iter().map(|i| (id(*i), *i)).collect();
+        let folders: Vec<(PathBuf, &Path)> =
+            inputs.iter().filter(|i| i.is_dir()).filter_map(|i| Some((i.canonicalize().ok()?, *i))).collect();
+        let mut written: HashMap<_, &Path> = HashMap::new();
+        for output in outputs {
+            let id = id(*output);
+            let input = read.get(&id).filter(|_| !atomic::is_stream(output));
+            let real = || if folders.is_empty() { None } else { output.canonicalize().ok() };
+            let within = || real().and_then(|o| folders.iter().find(|(f, _)| o.starts_with(f)).map(|(_, f)| f));
+            if let Some(input) = input.or_else(within) {
+                let which = if output == input { String::new() } else { format!(" ({})", input.display()) };
                 let what = "it is also read, and would be lost; give another output";
                 return Err(Usage(format!("{}{which}: {what}", output.display())).into());
             }
-            if let Some(other) = outputs[..i].iter().find(|o| atomic::same_file(o, output)) {
+            if let Some(other) = written.insert(id, output) {
                 let (a, b) = (other.display(), output.display());
                 return Err(Usage(format!("{a} and {b} are one file, but two outputs")).into());
             }
@@ -254,12 +265,6 @@ fn open_log(path: &Path) -> anyhow::Result<File> {
         }
     }
     File::options().create(true).append(true).open(path).with_context(cannot)
-}
-
-/// Whether writing `output` would change `input`: they are one, or the output is there already within a folder.
-fn endangers(output: &Path, input: &Path) -> bool {
-    let within = || Some(std::fs::canonicalize(output).ok()?.starts_with(std::fs::canonicalize(input).ok()?));
-    atomic::same_file(output, input) && !atomic::is_stream(output) || input.is_dir() && within() == Some(true)
 }
 
 impl Messages {

@@ -131,6 +131,8 @@ fn what_is_no_plain_file_is_streamed_into_or_refused() {
     assert!(image::load_from_memory(&piped.stdout).is_err(), "an OpenEXR file, which this decoder does not have");
     let error = translume(dir.path(), &["image", "convert", "a.png", "-o", "/dev/stdout", "--json"]).error(2);
     assert!(error.contains("--json"), "{error}");
+    let hdr = ["hdr", "a.png", "a.png", "--ev", "0,2", "-o", "/dev/stdout", "--preview", "/dev/stdout"];
+    assert!(translume(dir.path(), &hdr).error(2).contains("two outputs"));
     convert("/dev/null").ok();
     assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
     symlink("/dev/zero", at("zero.exr")).unwrap();

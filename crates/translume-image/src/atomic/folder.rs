@@ -64,7 +64,10 @@ fn keep_foreign(old: &Path, new: &Path, own: &impl Fn(&str) -> bool) -> io::Resu
 }
 
 /// `to` becomes a second name of what `from` is, or a copy where that cannot be; folders with all that is in them.
-fn link(from: &Path, to: &Path) -> io::Result<()> {
+///
+/// # Errors
+/// The system's.
+pub fn link(from: &Path, to: &Path) -> io::Result<()> {
     if std::fs::symlink_metadata(from)?.is_dir() {
         std::fs::create_dir(to)?;
         for entry in std::fs::read_dir(from)? {

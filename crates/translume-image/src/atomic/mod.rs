@@ -9,9 +9,9 @@ mod folder;
 mod leftovers;
 mod place;
 
-pub use folder::write_folder;
+pub use folder::{link, write_folder};
 pub use leftovers::clean_up;
-pub use place::{Place, Stream, is_stream, place, same_file};
+pub use place::{FileId, Place, Stream, ends_as_folder, is_stream, place};
 
 use crate::{Error, Result};
 use leftovers::Live;

@@ -91,7 +91,7 @@ pub fn is_stream(path: &Path) -> bool {
 }
 
 /// Whether `path` is written as a folder's name is: `out/`.
-fn ends_as_folder(path: &Path) -> bool {
+pub fn ends_as_folder(path: &Path) -> bool {
     path.as_os_str().as_encoded_bytes().last().is_some_and(|&b| std::path::is_separator(char::from(b)))
 }
 
@@ -123,32 +123,43 @@ fn takes_a_stream(_: &FileType, _: &Metadata) -> bool {
     false
 }
 
-/// Whether two names are of one plain file or folder: through links, hard links and other spellings too, and where it
-/// does not exist yet.
-pub fn same_file(a: &Path, b: &Path) -> bool {
-    match (identity(a), identity(b)) {
-        (Some(a), Some(b)) => a == b,
-        (None, None) => a == b || name_to_be(a).is_some_and(|a| Some(a) == name_to_be(b)),
-        _ => false,
+/// What a plain file or folder is by, whatever name it is called: links, hard links and other spellings have the same.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct FileId(Identity);
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Identity {
+    #[cfg(unix)]
+    There { device: u64, inode: u64 },
+    #[cfg(not(unix))]
+    There(PathBuf),
+    /// Not there yet: the one spelling of its folder, and its name.
+    ToBe(PathBuf, Box<OsStr>),
+}
+
+impl FileId {
+    /// Of a name; `None` for devices, pipes and what cannot be.
+    pub fn of(path: &Path) -> Option<Self> {
+        match std::fs::metadata(path) {
+            Ok(there) => (there.is_file() || there.is_dir()).then(|| there_id(path, &there))?,
+            Err(_) => {
+                let Place::File(path) = place(path).ok()? else { return None };
+                let folder = std::fs::canonicalize(super::folder_of(&path)).ok()?;
+                Some(Self(Identity::ToBe(folder, path.file_name()?.into())))
+            }
+        }
     }
 }
 
 #[cfg(unix)]
-fn identity(path: &Path) -> Option<(u64, u64)> {
+fn there_id(_: &Path, there: &Metadata) -> Option<FileId> {
     use std::os::unix::fs::MetadataExt;
-    let there = std::fs::metadata(path).ok()?;
-    (there.is_file() || there.is_dir()).then(|| (there.dev(), there.ino()))
+    Some(FileId(Identity::There { device: there.dev(), inode: there.ino() }))
 }
 
 #[cfg(not(unix))]
-fn identity(path: &Path) -> Option<PathBuf> {
-    std::fs::canonicalize(path).ok()
-}
-
-/// The one spelling of a name that is not there yet.
-fn name_to_be(path: &Path) -> Option<(PathBuf, Box<OsStr>)> {
-    let Place::File(path) = place(path).ok()? else { return None };
-    Some((std::fs::canonicalize(super::folder_of(&path)).ok()?, path.file_name()?.into()))
+fn there_id(path: &Path, _: &Metadata) -> Option<FileId> {
+    Some(FileId(Identity::There(std::fs::canonicalize(path).ok()?)))
 }
 
 #[cfg(test)]
@@ -160,6 +171,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a"), dir.path().join("b"));
         let odd = dir.path().join(".").join("a");
+        let same_file = |a: &Path, b: &Path| FileId::of(a).unwrap() == FileId::of(b).unwrap();
         assert!(same_file(&a, &odd) && !same_file(&a, &b), "neither is there yet");
         std::fs::write(&a, "").unwrap();
         std::fs::hard_link(&a, &b).unwrap();

@@ -250,8 +250,7 @@ fn run_batch(args: &Args, params: &Params, sets: &[Set], ctx: &Context) -> anyho
 
 /// Whether a result's name is a folder's: one that is there, or that ends in a slash, or that has no ending.
 fn names_folder(output: &Path) -> bool {
-    let slash = output.as_os_str().as_encoded_bytes().last().is_some_and(|&b| std::path::is_separator(char::from(b)));
-    output.is_dir() || !atomic::is_stream(output) && (slash || output.extension().is_none())
+    output.is_dir() || !atomic::is_stream(output) && (atomic::ends_as_folder(output) || output.extension().is_none())
 }
 
 /// Formats of the result; what has only codes for a display is a preview.

@@ -106,25 +106,13 @@ fn write_folder(output: &Path, capture: &Capture, rig: &str) -> anyhow::Result<(
                 if let Some(above) = to.parent() {
                     std::fs::create_dir_all(above).map_err(|e| Error::io(output, e))?;
                 }
-                link(&capture.path.join(name), &to)?;
+                let from = capture.path.join(name);
+                atomic::link(&from, &to).map_err(|e| Error::io(&from, e))?;
             }
             std::fs::write(folder.join("rig.json"), rig).map_err(|e| Error::io(output, e))
         },
     );
     Ok(written?)
-}
-
-fn link(from: &Path, to: &Path) -> translume_image::Result<()> {
-    if from.is_dir() {
-        std::fs::create_dir(to).map_err(|e| Error::io(to, e))?;
-        for entry in std::fs::read_dir(from).map_err(|e| Error::io(from, e))? {
-            let name = entry.map_err(|e| Error::io(from, e))?.file_name();
-            link(&from.join(&name), &to.join(&name))?;
-        }
-    } else if std::fs::hard_link(from, to).is_err() {
-        std::fs::copy(from, to).map_err(|e| Error::io(from, e))?;
-    }
-    Ok(())
 }
 
 fn tell(args: &Args, capture: &Capture, told: &RegisterReport, ctx: &Context) -> anyhow::Result<()> {
