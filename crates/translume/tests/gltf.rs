@@ -93,4 +93,6 @@ fn files_of_another_folder_want_an_option() {
     let (_, rgb) = render(&model, &["--asset-root", "../textures"]);
     assert!(rgb[1] > 0.05 && rgb[0] == 0.0 && rgb[2] == 0.0, "{rgb:?}");
     translume(&model, &["scene", "info", "scene.gltf", "--asset-root", "../textures"]).ok();
+    let error = translume(&model, &["scene", "info", "scene.gltf", "--asset-root", "../gone"]).error(2);
+    assert!(error.contains("../gone") && error.contains("no such folder"), "{error}");
 }

@@ -236,7 +236,8 @@ fn renders_of_two_scenes_are_not_averaged() {
     render("a.xml", "a1.exr", &["--seed", "1"]);
     render("a.xml", "a2.exr", &["--seed", "2", "--integrator", "bdpt"]);
     render("b.xml", "b.exr", &["--seed", "3"]);
-    render("a.xml", "short.exr", &["--seed", "3", "--max-depth", "1"]);
+    // The same seed is no matter where the scenes differ already: one line says what is wrong.
+    render("a.xml", "short.exr", &["--seed", "1", "--max-depth", "1"]);
     let merge = |files: &[&str]| translume(dir.path(), &[&["merge"], files, &["-o", "m.exr"]].concat());
     for other in ["b.exr", "short.exr"] {
         let error = merge(&["a1.exr", other]).error(1);

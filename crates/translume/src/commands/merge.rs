@@ -48,14 +48,14 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
         let parts = read_exr_parts(path)?;
         let said = |name: &str| parts.first().and_then(|p| p.texts.iter().find(|t| t.0 == name)).map(|t| t.1.clone());
         scenes.push(said("scene"));
-        if let Some(seed) = said("seed") {
-            if seeds.contains(&seed) {
-                ctx.warn(format!("{}: seed {seed} comes twice: the same samples count twice", path.display()));
-            }
-            seeds.push(seed);
-        }
+        seeds.push(said("seed"));
     }
     let scene = one_scene(&args.inputs, &scenes, ctx)?;
+    for (i, path) in args.inputs.iter().enumerate() {
+        if let Some(seed) = seeds[i].as_ref().filter(|_| seeds[..i].contains(&seeds[i])) {
+            ctx.warn(format!("{}: seed {seed} comes twice: the same samples count twice", path.display()));
+        }
+    }
     let merged = merge::merge(&renders)?;
     let channels: Vec<(&str, &[f32])> = merged.iter().map(|(name, values)| (name.as_str(), &values[..])).collect();
     let options = ExrOptions {

@@ -67,7 +67,7 @@ struct InfoArgs {
     #[arg(long, value_name = "N")]
     part: Option<usize>,
     /// Files of a glTF file may be in this folder, too, beside its own
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::folder)]
     asset_root: Vec<PathBuf>,
 }
 
@@ -83,7 +83,7 @@ struct ConvertArgs {
     #[arg(long, value_name = "N")]
     part: Option<usize>,
     /// Files of a glTF file may be in this folder, too, beside its own
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::folder)]
     asset_root: Vec<PathBuf>,
     /// Compute normals anew, smooth over edges up to this angle
     #[arg(long, value_name = "DEGREES")]

@@ -57,6 +57,12 @@ fn load_options(
     translume_scene::LoadOptions { lenient, defines, bssrdf_loader: Some(load), asset_roots: asset_roots.to_vec() }
 }
 
+/// A folder that is there.
+fn folder(text: &str) -> Result<std::path::PathBuf, String> {
+    let path = std::path::PathBuf::from(text);
+    if path.is_dir() { Ok(path) } else { Err("there is no such folder".into()) }
+}
+
 /// Reads a scene.
 fn load_scene(
     path: &std::path::Path,

@@ -119,7 +119,7 @@ pub(crate) struct Args {
     #[arg(long)]
     lenient: bool,
     /// Files of a glTF scene may be in this folder, too, beside its own
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::folder)]
     asset_root: Vec<PathBuf>,
 }
 

@@ -45,7 +45,7 @@ struct InfoArgs {
     #[arg(long, alias = "define", value_name = "NAME=VALUE", value_parser = parse_define)]
     set: Vec<(String, String)>,
     /// Files of a glTF scene may be in this folder, too, beside its own
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::folder)]
     asset_root: Vec<PathBuf>,
 }
 
