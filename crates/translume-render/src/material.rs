@@ -8,6 +8,7 @@ mod mixture;
 mod traits;
 
 use crate::texture::{self, Place};
+use crate::world::bend::Bend;
 use crate::world::{SurfaceHit, Translucent};
 use crate::{Rgb, luminance};
 use glam::Vec3;
@@ -18,7 +19,7 @@ pub(crate) use traits::{Traits, traits};
 use translume_bxdf::{self as bxdf, Bsdf, Microfacets};
 use translume_core::frame::Frame;
 use translume_scene::material::{
-    Conductor, Dielectric, MetalRough, Model, NormalAxes, Principled, Roughness, Subsurface, ThinPrincipled,
+    BendLimits, Conductor, Dielectric, MetalRough, Model, NormalAxes, Principled, Roughness, Subsurface, ThinPrincipled,
 };
 use translume_scene::{MaterialId, Scene, TextureId};
 
@@ -73,8 +74,8 @@ pub(crate) struct Shader<'a, 'b> {
     pub(crate) under: Option<&'a Translucent>,
     pub(crate) place: Place<'a>,
     pub(crate) frame: Frame,
-    /// The frame's normal before it was bent.
-    pub(crate) unbent: Option<Vec3>,
+    /// How the frame was bent.
+    pub(crate) bend: Option<Bend>,
     /// The frame was turned to the side that is seen.
     pub(crate) turned: bool,
     /// Mixtures by their material.
@@ -146,9 +147,11 @@ impl<'a> Shader<'a, '_> {
             Model::Measured(model) => bxdf::Custom { model: &**model, uv: self.place.uv }.into(),
             Model::Subsurface(s) => self.skin(id, s),
             Model::TwoSided { front, back } => {
-                let behind = self.turned || self.hit.wo.dot(self.frame.n) < 0.0;
+                let own = self.bend.map_or(self.frame.n, |b| b.unbent());
+                let behind = self.turned || self.hit.wo.dot(own) < 0.0;
                 if behind && !self.turned {
                     (self.frame.n, self.turned) = (-self.frame.n, true);
+                    self.bend = self.bend.map(Bend::seen_from_behind);
                 }
                 self.bsdf(if behind { *back } else { *front })
             }
@@ -156,12 +159,12 @@ impl<'a> Shader<'a, '_> {
                 let opacity = self.number(*opacity);
                 self.bsdf(*nested).with_opacity(opacity)
             }
-            Model::BumpMap { height, scale, nested } => {
-                self.bump(texture::gradient(self.scene, *height, &self.place) * *scale);
+            Model::BumpMap { height, scale, limits, nested } => {
+                self.bump(texture::gradient(self.scene, *height, &self.place) * *scale, *limits);
                 self.bsdf(*nested)
             }
-            Model::NormalMap { normals, scale, axes, nested } => {
-                self.bend(self.mapped_normal(*normals, *scale, *axes, &self.frame));
+            Model::NormalMap { normals, scale, axes, limits, nested } => {
+                self.bend(self.mapped_normal(*normals, *scale, *axes, &self.frame), *limits);
                 self.bsdf(*nested)
             }
             Model::Blend { .. } => match &self.mixtures[id.0] {
@@ -257,7 +260,7 @@ impl<'a> Shader<'a, '_> {
 
     /// The coat's normal in the local frame: the surface's own, which the normals of what is under it do not bend.
     fn coat_normal(&self, p: &MetalRough) -> Vec3 {
-        let own = self.unbent.map_or(self.frame, |n| Frame::from_normal_tangent(n, self.hit.dp_du));
+        let own = self.bend.map_or(self.frame, |b| Frame::from_normal_tangent(b.unbent(), self.hit.dp_du));
         let normal = match p.coat_normals {
             Some((normals, scale)) => self.mapped_normal(normals, scale, NormalAxes::OfPicture, &own),
             None => own.n,
@@ -313,17 +316,18 @@ impl<'a> Shader<'a, '_> {
     }
 
     /// Bends the frame to the height field of this gradient (by u and v).
-    fn bump(&mut self, gradient: glam::Vec2) {
+    fn bump(&mut self, gradient: glam::Vec2, limits: BendLimits) {
         let n = self.frame.n;
         let lift = |d: Vec3, slope: f32| d + n * (slope - n.dot(d));
         let bent = lift(self.hit.dp_du, gradient.x).cross(lift(self.hit.dp_dv, gradient.y));
-        self.bend(if bent.dot(n) < 0.0 { -bent } else { bent });
+        self.bend(if bent.dot(n) < 0.0 { -bent } else { bent }, limits);
     }
 
-    /// Makes `normal`, of any length, the shading normal.
-    fn bend(&mut self, normal: Vec3) {
+    /// Makes `normal`, of any length, the shading normal. Of maps upon maps the first says what the surface's own normal is.
+    fn bend(&mut self, normal: Vec3, limits: BendLimits) {
         if let Some(n) = normal.try_normalize() {
-            self.unbent = Some(self.frame.n);
+            let unbent = self.bend.map_or(self.frame.n, |b| b.unbent());
+            self.bend = Some(Bend::new(unbent, n, self.hit.dp_du, limits));
             self.frame = Frame::from_normal_tangent(n, self.hit.dp_du);
         }
     }

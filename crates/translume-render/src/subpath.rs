@@ -348,7 +348,7 @@ impl Walk<'_> {
         let cosines = |n: Vec3| (n.dot(to_light).abs(), n.dot(to_camera).abs());
         let (light, camera) = cosines(hit.n());
         if sample.flags.contains(Flags::DELTA) {
-            let (light_s, camera_s) = cosines(shading.frame.n);
+            let (light_s, camera_s) = cosines(shading.normal_for(to_camera));
             // n² |cos θ| dω is the same on both sides of an interface.
             let eta2 = sample.eta * sample.eta;
             let (weight, ratio) = match self.mode {

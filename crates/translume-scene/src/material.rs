@@ -94,6 +94,8 @@ pub enum Model {
         height: TextureId,
         /// Factor on them.
         scale: f32,
+        /// Where the bent normals are of no use.
+        limits: BendLimits,
         /// What is shaded.
         nested: MaterialId,
     },
@@ -105,6 +107,8 @@ pub enum Model {
         scale: f32,
         /// What y is along.
         axes: NormalAxes,
+        /// Where the bent normals are of no use.
+        limits: BendLimits,
         /// What is shaded.
         nested: MaterialId,
     },
@@ -117,6 +121,17 @@ pub enum Model {
         /// Where it is 1.
         second: MaterialId,
     },
+}
+
+/// What becomes of shading normals that a bump or normal map bent so far that they are seen from behind, or that light
+/// ends abruptly where it should fade. The default leaves both black.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BendLimits {
+    /// A normal on the far side of the viewer is turned by half a turn about the surface's own.
+    pub turns_to_viewer: bool,
+    /// Light fades towards grazing directions by the masking of microfacets as steep as the bent normal (Estevez, Lecocq
+    /// and Stein 2019).
+    pub softens_terminator: bool,
 }
 
 /// The second axis of normal maps.

@@ -6,7 +6,7 @@ use common::{Folder, check, mitsuba, mitsuba_error, xml};
 use translume_bxdf::{Distribution, Phase, Rgb};
 use translume_scene::emitter::Emitter;
 use translume_scene::glam::{DVec2, DVec3};
-use translume_scene::material::Model;
+use translume_scene::material::{Material, Model};
 use translume_scene::medium::{Samples, Volume};
 use translume_scene::sensor::{PixelFilter, Projection};
 use translume_scene::texture::Texture;
@@ -500,4 +500,30 @@ fn bombs_do_not_go_off() {
     folder.write("30.xml", xml("3.0.0", &"<bsdf type=\"diffuse\"/>".repeat(100_000)));
     let error = folder.load("scene.xml", &xml("3.0.0", "<include filename=\"0.xml\"/>")).unwrap_err().to_string();
     assert!(error.contains("more than") && error.contains("elements"), "{error}");
+}
+
+/// Raw constants are numbers as they stand, and the limits of bent normals are on unless a file turns them off.
+#[test]
+fn normal_maps_of_raw_constants() {
+    let bsdf = |inside: &str| {
+        let map = format!(
+            r#"<bsdf type="normalmap"><texture name="normalmap" type="rawconstant">{inside}</texture><bsdf type="diffuse"/></bsdf>"#
+        );
+        mitsuba(&format!(r#"<shape type="sphere">{map}</shape>"#))
+    };
+    let scene = bsdf(r#"<vector name="value" value="0.5, 0.25, 1"/>"#);
+    let map = scene.materials.iter().find_map(|m| match &m.model {
+        Model::NormalMap { normals, limits, .. } => Some((*normals, *limits)),
+        _ => None,
+    });
+    let (normals, limits) = map.unwrap();
+    assert!(matches!(scene.textures[normals.0], Texture::Constant(v) if v.to_array() == [0.5, 0.25, 1.0]));
+    assert!(limits.turns_to_viewer && limits.softens_terminator);
+    bsdf(r#"<float name="value" value="0.5"/>"#);
+    let text = r#"<shape type="sphere"><bsdf type="bumpmap"><texture type="rawconstant"><string name="value" value="x"/></texture>
+        <boolean name="flip_invalid_normals" value="false"/><bsdf type="diffuse"/></bsdf></shape>"#;
+    assert!(mitsuba_error(text).contains("a number or a vector"));
+    let off = mitsuba(&text.replace(r#"<string name="value" value="x"/>"#, r#"<float name="value" value="1"/>"#));
+    let turns = |m: &Material| matches!(&m.model, Model::BumpMap { limits, .. } if limits.turns_to_viewer);
+    assert!(!off.materials.iter().any(turns));
 }

@@ -297,7 +297,7 @@ pub(crate) fn features(world: &World, ray: &Ray) -> Option<Features> {
     let shading = world.shading(&hit);
     Some(Features {
         albedo: shading.bsdf.albedo(),
-        ns: shading.frame.n,
+        ns: shading.normal_for(hit.wo),
         n: hit.n(),
         p: hit.point.p,
         uv: hit.uv(),

@@ -1,5 +1,6 @@
 //! Hits with everything that shading wants.
 
+use super::bend::Bend;
 use super::{Form, World};
 use crate::Rgb;
 use crate::light::{mesh_place, uv_of_sphere};
@@ -49,8 +50,8 @@ pub struct Shading<'a> {
     pub bsdf: Bsdf<'a>,
     /// The frame.
     pub frame: Frame,
-    /// The frame's normal before a bump or normal map bent it.
-    pub(super) unbent: Option<Vec3>,
+    /// How a bump or normal map bent the frame.
+    pub(super) bend: Option<Bend>,
 }
 
 impl Shading<'_> {
@@ -66,38 +67,39 @@ impl Shading<'_> {
         self.bsdf.flags()
     }
 
+    /// The shading normal for a viewer in the direction `viewer`.
+    #[inline]
+    pub fn normal_for(&self, viewer: Vec3) -> Vec3 {
+        self.bend.as_ref().map_or(self.frame.n, |b| b.frame(&self.frame, viewer).n)
+    }
+
+    /// Whether all viewers on one side see the same.
+    #[inline]
+    pub fn is_lambertian(&self) -> bool {
+        self.bend.is_none() && self.bsdf.is_lambertian()
+    }
+
     /// Value times the cosine of `wi`, and density per solid angle of `wi`.
     #[inline]
     pub fn eval_cos_pdf(&self, wo: Vec3, wi: Vec3, mode: Mode) -> (Rgb, f32) {
-        let (local_o, local) = (self.to_local(wo), self.to_local(wi));
-        if if mode == Mode::Radiance { self.is_cut(wi, local) } else { self.is_cut(wo, local_o) } {
-            return (Rgb::ZERO, 0.0);
+        if let Some(bend) = &self.bend {
+            return bend.eval_cos_pdf(&self.bsdf, &self.frame, wo, wi, mode);
         }
-        let (f, pdf_w) = self.bsdf.eval_pdf(local_o, local, mode);
+        let local = self.to_local(wi);
+        let (f, pdf_w) = self.bsdf.eval_pdf(self.to_local(wo), local, mode);
         (f * local.z.abs(), pdf_w)
     }
 
     /// Draws `wi`: the sample has it in the world.
     #[inline]
     pub fn sample(&self, wo: Vec3, u_lobe: f32, u: Vec2, mode: Mode) -> Option<Sample> {
+        if let Some(bend) = &self.bend {
+            return bend.sample(&self.bsdf, &self.frame, wo, u_lobe, u, mode);
+        }
         let mut sample = self.bsdf.sample(self.to_local(wo), u_lobe, u, mode)?;
-        let wi = self.frame.to_world(sample.wi);
         // A straight pass is no matter of frames.
-        if sample.flags.contains(Flags::NULL) {
-            sample.wi = -wo;
-            return Some(sample);
-        }
-        if if mode == Mode::Radiance { self.is_cut(wi, sample.wi) } else { self.is_cut(wo, self.to_local(wo)) } {
-            return None;
-        }
-        sample.wi = wi;
+        sample.wi = if sample.flags.contains(Flags::NULL) { -wo } else { self.frame.to_world(sample.wi) };
         Some(sample)
-    }
-
-    /// Directions of light that a bent normal has on the other side than the surface's own: they would leak light.
-    #[inline]
-    fn is_cut(&self, wi: Vec3, local: Vec3) -> bool {
-        self.unbent.is_some_and(|n| n.dot(wi) * local.z <= 0.0)
     }
 }
 

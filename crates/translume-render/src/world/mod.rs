@@ -1,5 +1,6 @@
 //! A scene made ready for light transport.
 
+pub(crate) mod bend;
 mod build;
 mod hit;
 mod translucent;
@@ -179,11 +180,11 @@ impl World {
             under,
             place,
             frame: hit.frame,
-            unbent: None,
+            bend: None,
             turned: false,
         };
         let bsdf = shader.bsdf(surface.material);
-        Shading { bsdf, frame: shader.frame, unbent: shader.unbent }
+        Shading { bsdf, frame: shader.frame, bend: shader.bend }
     }
 
     /// What [`World::shading`] is when the surface is seen from the direction `wo` instead; `own` is that of `hit` itself.
@@ -244,7 +245,7 @@ impl World {
         if self.surfaces[hit.surface as usize].passes.1 {
             return Vec3::ZERO;
         }
-        let n = shading.frame.n;
+        let n = shading.normal_for(hit.wo);
         if n.dot(hit.wo) < 0.0 { -n } else { n }
     }
 

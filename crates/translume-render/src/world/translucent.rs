@@ -260,7 +260,7 @@ impl World {
         entered.instance = hit.instance;
         let skin = self.skin(self.surfaces[object.surface as usize].subsurface?)?;
         let bsdf = Entrance { eta: skin.eta, coat: skin.coat }.into();
-        let shading = Shading { bsdf, frame: entered.frame, unbent: None };
+        let shading = Shading { bsdf, frame: entered.frame, bend: None };
         Some(Entry { hit: entered, shading, weight: found.weight })
     }
 

@@ -7,7 +7,7 @@
 
 use super::{Dress, Loader, Vertices, vector3};
 use crate::Result;
-use crate::material::{MetalRough, Model, NormalAxes};
+use crate::material::{BendLimits, MetalRough, Model, NormalAxes};
 use crate::scene::{MaterialId, TextureId};
 use crate::texture::{Channel, Texture};
 use serde_json::Value;
@@ -213,7 +213,9 @@ impl Loader {
         let Some(normals) = self.bitmap(texture, true, Channel::Rgb, Rgb::ONE)? else { return Ok(nested) };
         let scale = texture["scale"].as_f64().unwrap_or(1.0) as f32;
         let axes = NormalAxes::OfPicture;
-        Ok(self.builder.material(name, Model::NormalMap { normals, scale, axes, nested }))
+        Ok(self
+            .builder
+            .material(name, Model::NormalMap { normals, scale, axes, limits: BendLimits::default(), nested }))
     }
 
     fn emission(&mut self, source: &Value) -> Result<Option<TextureId>> {

@@ -3,7 +3,9 @@
 use super::Loader;
 use super::object::{Object, Value};
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, NormalAxes, Plastic, Principled, Roughness, ThinPrincipled};
+use crate::material::{
+    BendLimits, Conductor, Dielectric, Model, NormalAxes, Plastic, Principled, Roughness, ThinPrincipled,
+};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use std::rc::Rc;
@@ -84,12 +86,14 @@ impl Loader {
             "bumpmap" => Model::BumpMap {
                 height: self.nested_texture(object)?,
                 scale: object.number("scale")?.unwrap_or(1.0) as f32,
+                limits: bend_limits(object)?,
                 nested: self.nested(object)?,
             },
             "normalmap" => Model::NormalMap {
                 normals: self.nested_texture(object)?,
                 scale: 1.0,
                 axes: NormalAxes::RightHanded,
+                limits: bend_limits(object)?,
                 nested: self.nested(object)?,
             },
             "blendbsdf" => Model::Blend {
@@ -340,4 +344,11 @@ impl Loader {
         }
         Ok(model)
     }
+}
+
+fn bend_limits(object: &Rc<Object>) -> Result<BendLimits> {
+    Ok(BendLimits {
+        turns_to_viewer: object.boolean("flip_invalid_normals", true)?,
+        softens_terminator: object.boolean("use_shadowing_function", true)?,
+    })
 }

@@ -128,6 +128,12 @@ impl Loader {
                 let scale = object.number("scale")?.unwrap_or(1.0) as f32;
                 Texture::Constant(spectrum::black_body(object.positive("temperature", 5000.0)?) * scale)
             }
+            // A number or three of them, as they stand.
+            "rawconstant" => Texture::Constant(match object.property("value").map(|p| &p.value) {
+                Some(Value::Number(v)) => Rgb::splat(*v as f32),
+                Some(Value::Point(v)) => v.as_vec3(),
+                _ => return Err(object.place.invalid("the value of rawconstant is a number or a vector")),
+            }),
             _ => return Err(object.unsupported()),
         };
         self.finish(object)?;

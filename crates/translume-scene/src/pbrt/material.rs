@@ -4,7 +4,7 @@ use super::Loader;
 use super::lexer::{self, Place, Values};
 use super::parameters::Parameters;
 use crate::Result;
-use crate::material::{Conductor, Dielectric, Model, NormalAxes, Plastic, Roughness, Subsurface};
+use crate::material::{BendLimits, Conductor, Dielectric, Model, NormalAxes, Plastic, Roughness, Subsurface};
 use crate::scene::{MaterialId, TextureId};
 use crate::spectrum::Quantity;
 use crate::texture::{Bitmap, Channel, Checkerboard, Filter, Texture, Wrap};
@@ -44,13 +44,22 @@ impl Loader {
         }
         if let Some(file) = p.text("normalmap")? {
             let normals = self.bitmap(file, &p.place, true, DAffine2::IDENTITY, Rgb::ONE, Wrap::Repeat)?;
-            id = self
-                .builder
-                .material(name, Model::NormalMap { normals, scale: 1.0, axes: NormalAxes::RightHanded, nested: id });
+            id = self.builder.material(
+                name,
+                Model::NormalMap {
+                    normals,
+                    scale: 1.0,
+                    axes: NormalAxes::RightHanded,
+                    limits: BendLimits::default(),
+                    nested: id,
+                },
+            );
         }
         if let Some(texture) = p.texture("displacement") {
             let height = self.named_texture(texture, &p.place)?;
-            id = self.builder.material(name, Model::BumpMap { height, scale: 1.0, nested: id });
+            id = self
+                .builder
+                .material(name, Model::BumpMap { height, scale: 1.0, limits: BendLimits::default(), nested: id });
         }
         let _ = p.get("type");
         self.finish(kind, p);

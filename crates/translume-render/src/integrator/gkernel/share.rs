@@ -101,7 +101,7 @@ pub(crate) fn onward(
     let side_of = |r: &Receiver| side(&y.hit, &shading, r.vertex.hit.point.p);
     let (Some(pdf), true) = (
         Step::new(world, &first.hit, &group[0].shading, &y.hit).map(|s| s.pdf),
-        shading.bsdf.is_lambertian() && side_of(&group[own]) == side_of(&group[0]),
+        shading.is_lambertian() && side_of(&group[own]) == side_of(&group[0]),
     ) else {
         return Onward::Alone;
     };
@@ -163,7 +163,7 @@ impl Group {
         let (p, q) = (y.hit.point.p, first.hit.point.p);
         let seen = world.shading_from(hit, shading, (p - hit.point.p).normalize_or_zero());
         let own_side = side(hit, &seen, p);
-        let shared = seen.bsdf.is_lambertian()
+        let shared = seen.is_lambertian()
             && own_side == side(hit, &seen, q)
             && Step::new(world, &first.hit, &first.shading, hit).is_some()
             && clear();
