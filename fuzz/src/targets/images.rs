@@ -11,13 +11,14 @@ use translume_image::{
 pub(super) fn run(folder: &Path, input: &Input) -> Said {
     let Some((name, bytes)) = input.files.first() else { return Said { accepted: false, text: String::new() } };
     let path = folder.join(name);
+    // One at a time: a few bytes may be a large picture.
+    let is_read = read_picture(&path).is_ok();
     let picture = decode_picture(bytes, &path);
-    let codes = decode_codes(bytes, &path);
-    let from_file = read_picture(&path);
-    if let Ok(p) = &picture {
-        sound(p);
-    }
-    if let Ok(c) = &codes {
+    assert_eq!(picture.is_ok(), is_read, "from memory and from the file");
+    picture.iter().for_each(sound);
+    let said = Said::of(&picture, |_| String::new());
+    drop(picture);
+    if let Ok(c) = &decode_codes(bytes, &path) {
         let n = match &c.samples {
             Samples::U8(v) => v.len(),
             Samples::U16(v) => v.len(),
@@ -26,9 +27,7 @@ pub(super) fn run(folder: &Path, input: &Input) -> Said {
         assert_eq!(n, 3 * c.width * c.height, "codes of {} × {}", c.width, c.height);
         upright(c);
     }
-    assert_eq!(picture.is_ok(), from_file.is_ok(), "from memory and from the file");
     decode_texture(bytes, &path, TextureCodes::Srgb).iter().for_each(sound);
-    let said = Said::of(&picture, |_| String::new());
     if Format::of(bytes) != Some(Format::Exr) {
         return said;
     }

@@ -65,10 +65,17 @@ pub struct Target {
     pub memory_ratio: usize,
 }
 
+const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
+
+/// A few sound bytes of OpenEXR may be the crop of a picture of 8K, 2²⁵ pixels of four floats, of which there are two copies
+/// for a moment.
+const CROPPED_EXR: usize = 2 * 4 * 4 << 25;
+
 impl Target {
     /// Bytes that this input may take.
     pub fn memory(&self, input: &Input) -> usize {
-        (self.memory_mib << 20) + self.memory_ratio * input.size()
+        let crops = input.files.iter().any(|f| f.1.windows(4).any(|w| w == EXR_MAGIC));
+        (self.memory_mib << 20) + self.memory_ratio * input.size() + if crops { CROPPED_EXR } else { 0 }
     }
 
     /// The reader of this name.

@@ -93,6 +93,7 @@ pub fn read_exr_channels(path: &Path, part: usize) -> Result<ExrPlanes> {
         let channel = line.location.channel;
         let start = (channel * height + y) * width + x;
         each_sample(&line, channels[channel].sample_type, |i, v| planes[start + i] = v);
+        Ok(())
     })?;
     let planes = planes.chunks_exact(width * height);
     let planes = channels.iter().zip(planes).map(|(c, p)| (c.name.to_string(), p.to_vec())).collect();
@@ -124,18 +125,29 @@ pub(crate) fn read<R: BufRead + Seek>(
     };
     let header = &meta.headers[part];
     let frame = Frame::new(header, roles.slots(), file_bytes, path)?;
-    let mut samples = limits::buffer::<f32>(path, frame.width * frame.height * frame.slots)?;
+    let picture = || limits::buffer::<f32>(path, frame.width * frame.height * frame.slots);
+    // Made when the first block turned out sound: a crop of a few bytes may be one of a large picture.
+    let mut samples = Vec::new();
     read_lines(file, &meta, (part, file_bytes), path, |line| {
-        let Some(slot) = roles.slot(line.location.channel) else { return };
+        if samples.is_empty() {
+            samples = picture()?;
+        }
+        let Some(slot) = roles.slot(line.location.channel) else { return Ok(()) };
         let Vec2(x, y) = line.location.position;
-        let Some((first, skip, count)) = frame.run(x as i64, y as i64, line.location.sample_count) else { return };
+        let Some((first, skip, count)) = frame.run(x as i64, y as i64, line.location.sample_count) else {
+            return Ok(());
+        };
         let sample_type = header.channels.list[line.location.channel].sample_type;
         each_sample(&line, sample_type, |i, v| {
             if i >= skip && i < skip + count {
                 samples[(first + i - skip) * frame.slots + slot] = v;
             }
         });
+        Ok(())
     })?;
+    if samples.is_empty() {
+        samples = picture()?;
+    }
     let metadata = metadata(header);
     if roles.luma_chroma {
         exr_chroma::to_rgb(&mut samples, frame.slots, metadata.chromaticities);
@@ -237,7 +249,7 @@ fn read_lines<R: BufRead + Seek>(
     meta: &MetaData,
     (part, file_bytes): (usize, u64),
     path: &Path,
-    mut take: impl FnMut(LineRef<'_>),
+    mut take: impl FnMut(LineRef<'_>) -> Result<()>,
 ) -> Result<()> {
     let offsets = offsets(&mut file, meta, (part, file_bytes), path)?;
     let mut next = |offset: u64| -> Result<Chunk> {
@@ -267,7 +279,7 @@ fn read_lines<R: BufRead + Seek>(
             if block.index.layer != part || block.index.level != Vec2(0, 0) || !inside || block.data.len() != expected {
                 return Err(damaged());
             }
-            block.lines(&header.channels).for_each(&mut take);
+            block.lines(&header.channels).try_for_each(&mut take)?;
         }
     }
 }
