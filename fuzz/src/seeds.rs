@@ -23,9 +23,16 @@ pub fn write(corpus: &Path) -> Outcome {
     images(&corpus.join("image"))?;
     meshes(&corpus.join("mesh"))?;
     grids(&corpus.join("grid"))?;
+    checkpoints(&corpus.join("checkpoint"))?;
     fields(corpus)?;
     capture(&corpus.join("capture"))?;
     samples(&corpus.join("samples"))
+}
+
+fn checkpoints(to: &Path) -> Outcome {
+    std::fs::create_dir_all(to)?;
+    let (film, identity) = crate::targets::scenes::checkpointed();
+    Ok(translume_render::checkpoint::write(&to.join("empty.tlck"), &film, &identity)?)
 }
 
 fn images(to: &Path) -> Outcome {

@@ -39,11 +39,15 @@ pub fn dielectric(cos_i: f32, eta: f32) -> Interface {
     Interface { reflectance, cos_t: -abs_t.copysign(cos_i), eta_it, eta_ti }
 }
 
+/// Indices beyond this reflect all that a float can tell from all; their fourth powers would not fit one.
+const MAX_INDEX: f32 = 1e8;
+
 /// Fresnel's equations for a conductor of complex index `eta` + i `k` per channel, relative to the medium in front.
 #[inline]
 pub fn conductor(cos_i: f32, eta: Rgb, k: Rgb) -> Rgb {
     let cos2 = cos_i * cos_i;
     let sin2 = 1.0 - cos2;
+    let (eta, k) = (eta.min(Vec3::splat(MAX_INDEX)), k.min(Vec3::splat(MAX_INDEX)));
     let (eta2, k2) = (eta * eta, k * k);
     let t = eta2 - k2 - Vec3::splat(sin2);
     // a² + b² and a of the complex refracted cosine times the index.
@@ -55,7 +59,8 @@ pub fn conductor(cos_i: f32, eta: Rgb, k: Rgb) -> Rgb {
     let w = a2_b2 * cos2 + Vec3::splat(sin2 * sin2);
     let x = v * sin2;
     let r_p = r_s * (w - x) / (w + x);
-    0.5 * (r_s + r_p)
+    // Of equal indices the rounding is left, of either sign.
+    (0.5 * (r_s + r_p)).max(Vec3::ZERO)
 }
 
 /// Schlick's weight (1 − cos θ)⁵, so that F = r0 + (1 − r0)·weight.
@@ -137,6 +142,12 @@ mod tests {
                 assert!((c - dielectric(cos, eta).reflectance).abs() < 1e-5, "{cos} {eta}");
             }
             assert!((conductor(cos, Vec3::ZERO, Vec3::ONE) - Vec3::ONE).abs().max_element() < 1e-6);
+        }
+        for cos in [0.0, 1e-3, 0.3, 1.0] {
+            let nothing = conductor(cos, Vec3::ONE, Vec3::ZERO);
+            assert!(nothing.min_element() >= 0.0 && (cos == 0.0 || nothing.max_element() < 1e-4), "{cos}: {nothing}");
+            let all = conductor(cos, Vec3::new(1e20, 0.0, 1e30), Vec3::new(1e20, 1e30, 0.0));
+            assert!((all - Vec3::ONE).abs().max_element() < 1e-4, "{cos}: {all}");
         }
         // Normal incidence: ((η−1)² + k²)/((η+1)² + k²).
         let f = conductor(1.0, Vec3::splat(0.2), Vec3::splat(3.9)).x;

@@ -85,6 +85,22 @@ const KNOWN_EXTENSIONS: [&str; 23] = [
     "KHR_node_visibility",
 ];
 
+/// The first number that no 32-bit float can be, with where it is. Applications may keep what they like in `extras`.
+fn too_large(value: &serde_json::Value) -> Option<(String, f64)> {
+    use serde_json::Value;
+    let within = |key: &str, value: &Value| {
+        let (place, number) = too_large(value)?;
+        let slash = if place.is_empty() { "" } else { "/" };
+        Some((format!("{key}{slash}{place}"), number))
+    };
+    match value {
+        Value::Number(n) => n.as_f64().filter(|v| v.abs() > f64::from(f32::MAX)).map(|v| (String::new(), v)),
+        Value::Array(items) => items.iter().enumerate().find_map(|(i, v)| within(&i.to_string(), v)),
+        Value::Object(fields) => fields.iter().filter(|(k, _)| *k != "extras").find_map(|(k, v)| within(k, v)),
+        _ => None,
+    }
+}
+
 impl Asset {
     /// Opens a `.gltf` or `.glb` file and the buffers it names, which are in its folder or in one of `roots`.
     ///
@@ -114,6 +130,9 @@ impl Asset {
         let parsed = |e: serde_json::Error| Error::invalid(path, format!("JSON: {e}"));
         let document: Document = serde_json::from_slice(text).map_err(parsed)?;
         let json = serde_json::from_slice(text).map_err(parsed)?;
+        if let Some((place, number)) = too_large(&json) {
+            return Err(Error::invalid(path, format!("{place}: {number:e} is too large")));
+        }
         check(&document).map_err(|fault| fault.at(path))?;
         let (roots, worlds) = (roots.to_vec(), OnceLock::new());
         let mut asset = Self { path: path.to_owned(), document, json, buffers: Vec::new(), roots, worlds };

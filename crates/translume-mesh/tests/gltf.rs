@@ -147,3 +147,12 @@ fn files_outside_of_the_folder_are_read_where_it_is_said() {
         assert!(read("link.bin", &[&outside]).is_ok());
     }
 }
+
+/// What no 32-bit float can be is refused where it stands; extras are the application's own.
+#[test]
+fn numbers_fit_floats() {
+    let with = |field: &str| changed(&[("\"nodes\": [{", &format!("\"nodes\": [{{{field}, "))]);
+    let error = load(&with("\"extensions\": {\"any\": [0, 1e300]}")).unwrap_err().to_string();
+    assert!(error.contains("nodes/0/extensions/any/1: 1e300 is too large"), "{error}");
+    assert_eq!(corners(&with("\"extras\": {\"any\": 1e300}, \"weights\": [3e38, -3e38]")), [[6.0, 0.0, 0.0]]);
+}

@@ -5,7 +5,7 @@ mod lists;
 mod measured;
 mod meshes;
 mod program;
-mod scenes;
+pub(crate) mod scenes;
 
 use crate::input::Input;
 use std::path::Path;
@@ -89,7 +89,7 @@ const fn target(name: &'static str, run: fn(&Path, &Input) -> Said, memory_mib: 
 }
 
 /// All of them.
-pub const TARGETS: [Target; 16] = [
+pub const TARGETS: [Target; 17] = [
     // Codecs pack up to 4096 to 1, and pixels become floats.
     Target {
         seeds: &["crates/translume-image/tests/data", "crates/translume-image/tests/data/crashes"],
@@ -99,6 +99,7 @@ pub const TARGETS: [Target; 16] = [
     target("scene", scenes::load, 256, 1 << 16),
     Target { seeds: &["fuzz/corpus/scene"], ..target("render", scenes::render, 512, 1 << 16) },
     Target { seeds: &["crates/translume-scene/tests/data/measured"], ..target("bsdf", scenes::bsdf, 64, 200) },
+    target("checkpoint", scenes::checkpoint, 64, 100),
     target("spectrum", scenes::spectrum, 64, 200),
     target("grid", scenes::grid, 64, 100),
     target("lights", lists::lights, 64, 500),
