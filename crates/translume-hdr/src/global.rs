@@ -6,7 +6,7 @@
 //! weights that ignore what moves on its own, and a gain and offset for what the response estimate leaves.
 
 use crate::field::{Affine, IDENTITY, apply, compose, invert};
-use crate::plane::Plane;
+use crate::plane::{self, Plane};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
@@ -156,14 +156,7 @@ fn correlation(a: &Plane, b: &Plane, dx: i32, dy: i32) -> f64 {
     for y in y0..y1 {
         let ra = &a.row(y as usize)[x0 as usize..x1 as usize];
         let rb = &b.row((y + dy) as usize)[(x0 + dx) as usize..(x1 + dx) as usize];
-        let (mut ta, mut tb, mut taa, mut tbb, mut tab) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
-        for (p, q) in ra.iter().zip(rb) {
-            ta += p;
-            tb += q;
-            taa += p * p;
-            tbb += q * q;
-            tab += p * q;
-        }
+        let [ta, tb, taa, tbb, tab] = plane::sums(ra, rb);
         sa += f64::from(ta);
         sb += f64::from(tb);
         saa += f64::from(taa);

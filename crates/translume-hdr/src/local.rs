@@ -10,7 +10,7 @@
 //! where it says little, so that flat blocks and edges seen along one direction follow their neighbours.
 
 use crate::field::Grid;
-use crate::plane::Plane;
+use crate::plane::{self, Plane};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -172,11 +172,8 @@ impl Block {
                 }
                 &row_buffer[..self.width]
             };
-            for (p, q) in ra.iter().zip(rb) {
-                sum += q;
-                squares += q * q;
-                product += p * q;
-            }
+            let [_, tb, _, tbb, tab] = plane::sums(ra, rb);
+            (sum, squares, product) = (sum + tb, squares + tbb, product + tab);
         }
         let n = self.values.len() as f32;
         // ã has mean 0, so b's mean drops out of the product.

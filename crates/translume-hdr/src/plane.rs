@@ -169,9 +169,41 @@ pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     [0.5 * (-f3 + 2.0 * f2 - f), 0.5 * (3.0 * f3 - 5.0 * f2 + 2.0), 0.5 * (-3.0 * f3 + 4.0 * f2 + f), 0.5 * (f3 - f2)]
 }
 
+/// Σa, Σb, Σa², Σb², Σab over two rows of one length, each in eight sums of every eighth, which vector units add at once.
+pub(crate) fn sums(a: &[f32], b: &[f32]) -> [f32; 5] {
+    let [mut ta, mut tb, mut taa, mut tbb, mut tab] = [[0.0f32; 8]; 5];
+    let mut add = |p: &[f32; 8], q: &[f32; 8]| {
+        for k in 0..8 {
+            ta[k] += p[k];
+            tb[k] += q[k];
+            taa[k] += p[k] * p[k];
+            tbb[k] += q[k] * q[k];
+            tab[k] += p[k] * q[k];
+        }
+    };
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    a.iter().zip(b).for_each(|(p, q)| add(p, q));
+    if !a_rest.is_empty() {
+        let filled = |rest: &[f32]| std::array::from_fn(|k| rest.get(k).copied().unwrap_or(0.0));
+        add(&filled(a_rest), &filled(b_rest));
+    }
+    [ta, tb, taa, tbb, tab].map(|s| ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7])))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sums_are_those_of_all() {
+        for n in [0usize, 1, 7, 8, 24, 37] {
+            let a: Vec<f32> = (0..n).map(|i| i as f32).collect();
+            let b: Vec<f32> = (0..n).map(|i| (i * i % 11) as f32).collect();
+            let product = |p: &[f32], q: &[f32]| p.iter().zip(q).map(|(x, y)| x * y).sum::<f32>();
+            let expected = [a.iter().sum(), b.iter().sum(), product(&a, &a), product(&b, &b), product(&a, &b)];
+            assert_eq!(sums(&a, &b), expected, "{n}"); // whole numbers: exact in any order
+        }
+    }
 
     fn ramp(w: usize, h: usize) -> Plane {
         Plane::from_rows(w, h, |y, r| {

@@ -72,8 +72,11 @@ pub(crate) fn strip(shot: &Shot<'_>, field: &Field, rows: std::ops::Range<usize>
     out
 }
 
+/// Pixels of three channels in four lanes; the last is not used.
+type Lanes = [f32; 4];
+
 /// The source rows that a strip reads, as unit codes, and the index of the first.
-fn source_rows(shot: &Shot<'_>, field: &Field, rows: &std::ops::Range<usize>) -> (usize, Vec<f32>) {
+fn source_rows(shot: &Shot<'_>, field: &Field, rows: &std::ops::Range<usize>) -> (usize, Vec<Lanes>) {
     let (w, h) = (shot.width(), shot.height());
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
     for y in rows.clone() {
@@ -87,60 +90,60 @@ fn source_rows(shot: &Shot<'_>, field: &Field, rows: &std::ops::Range<usize>) ->
     let margin = 8.0;
     let first = (low - margin).clamp(0.0, (h - 1) as f32) as usize;
     let last = (high + margin).clamp(0.0, (h - 1) as f32) as usize;
-    let mut window = vec![0.0; 3 * w * (last - first + 1)];
-    for (k, out) in window.chunks_exact_mut(3 * w).enumerate() {
-        shot.unit_row(first + k, out);
+    let mut window = vec![[0.0; 4]; w * (last - first + 1)];
+    let mut row = vec![0.0; 3 * w];
+    for (k, out) in window.chunks_exact_mut(w).enumerate() {
+        shot.unit_row(first + k, &mut row);
+        for (o, p) in out.iter_mut().zip(row.as_chunks::<3>().0) {
+            *o = [p[0], p[1], p[2], 0.0];
+        }
     }
     (first, window)
 }
 
 /// The interpolated code and the marks of the pixels it is made of, `None` outside the picture or on its border.
 #[inline]
-fn lookup(shot: &Shot<'_>, window: &[f32], first: usize, sx: f32, sy: f32) -> Option<([f32; 3], u8)> {
+fn lookup(shot: &Shot<'_>, window: &[Lanes], first: usize, sx: f32, sy: f32) -> Option<([f32; 3], u8)> {
     let (w, h) = (shot.width() as isize, shot.height() as isize);
     // Half a pixel beyond the outermost centres still belongs to the picture.
     if !(sx >= -0.5 && sy >= -0.5 && sx <= w as f32 - 0.5 && sy <= h as f32 - 0.5) {
         return None;
     }
-    let rows = (window.len() / (3 * w as usize)) as isize;
-    let (fx, fy) = (sx.floor(), sy.floor());
-    let (ix, iy) = (fx as isize, fy as isize);
-    let column = |k: isize| (ix + k).clamp(0, w - 1) as usize * 3;
-    let row = |k: isize| ((iy + k).clamp(0, h - 1) - first as isize).clamp(0, rows - 1) as usize * 3 * w as usize;
-    if let Some(border) = &shot.border {
-        let inside = |k: isize, l: isize| border[((iy + k).clamp(0, h - 1) * w + (ix + l).clamp(0, w - 1)) as usize];
-        if inside(0, 0) || inside(0, 1) || inside(1, 0) || inside(1, 1) {
-            return None;
-        }
+    let rows = (window.len() / w as usize) as isize;
+    // What is not below −1 is rounded down by cutting off.
+    let floor = |v: f32| if v < 0.0 { -1 } else { v as isize };
+    let (ix, iy) = (floor(sx), floor(sy));
+    let column = |k: isize| (ix + k).clamp(0, w - 1) as usize;
+    let row = |k: isize| ((iy + k).clamp(0, h - 1) - first as isize).clamp(0, rows - 1) as usize * w as usize;
+    let core = |k: isize, l: isize| ((iy + k).clamp(0, h - 1) * w + (ix + l).clamp(0, w - 1)) as usize;
+    let core = [core(0, 0), core(0, 1), core(1, 0), core(1, 1)];
+    if shot.border.as_ref().is_some_and(|border| core.iter().any(|i| border[*i])) {
+        return None;
     }
-    let marks = shot.clips.as_ref().map_or(0, |marks| {
-        let at = |k: isize, l: isize| marks[((iy + k).clamp(0, h - 1) * w + (ix + l).clamp(0, w - 1)) as usize];
-        at(0, 0) | at(0, 1) | at(1, 0) | at(1, 1)
-    });
-    let (wx, wy) = (catmull_rom(sx - fx), catmull_rom(sy - fy));
+    let marks = shot.clips.as_ref().map_or(0, |marks| core.iter().fold(0, |m, i| m | marks[*i]));
+    let (wx, wy) = (catmull_rom(sx - ix as f32), catmull_rom(sy - iy as f32));
     let columns = [column(-1), column(0), column(1), column(2)];
     let rows = [row(-1), row(0), row(1), row(2)];
-    let mut out = [0.0f32; 3];
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for (k, (r, wy)) in rows.iter().zip(wy).enumerate() {
-        for (l, (x, wx)) in columns.iter().zip(wx).enumerate() {
-            let p = &window[r + x..r + x + 3];
-            let core = (1..=2).contains(&k) && (1..=2).contains(&l);
-            for c in 0..3 {
-                out[c] += wy * wx * p[c];
-                if core {
-                    low[c] = low[c].min(p[c]);
-                    high[c] = high[c].max(p[c]);
+    let mut out = [0.0f32; 4];
+    let (mut low, mut high) = ([f32::INFINITY; 4], [f32::NEG_INFINITY; 4]);
+    for k in 0..4 {
+        for l in 0..4 {
+            let (p, weight) = (window[rows[k] + columns[l]], wy[k] * wx[l]);
+            for c in 0..4 {
+                out[c] += weight * p[c];
+            }
+            if (1..=2).contains(&k) && (1..=2).contains(&l) {
+                for c in 0..4 {
+                    low[c] = if p[c] < low[c] { p[c] } else { low[c] };
+                    high[c] = if p[c] > high[c] { p[c] } else { high[c] };
                 }
             }
         }
     }
-    for c in 0..3 {
-        out[c] = if shot.decoder.is_clipped(c, high[c]) && wx[1] * wy[1] < 0.999 {
-            high[c]
-        } else {
-            out[c].clamp(low[c], high[c])
-        };
-    }
-    Some((out, marks))
+    let between = wx[1] * wy[1] < 0.999;
+    let value = |c: usize| match between && shot.decoder.is_clipped(c, high[c]) {
+        true => high[c],
+        false => out[c].clamp(low[c], high[c]),
+    };
+    Some(([value(0), value(1), value(2)], marks))
 }
