@@ -20,9 +20,8 @@ use std::path::PathBuf;
 
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
-/// Most pictures between which is interpolated: for more, the dense system is not solved in reasonable time, which every
-/// opening of the field takes again. Of more, all shape the layers, and an even choice keeps its weights.
-pub(crate) const MOST_NODES: usize = 4096;
+/// Pictures for whose dense system there is time: every opening of the field solves it again.
+const MOST_NODES: usize = 4096;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
 
@@ -56,6 +55,8 @@ pub struct Params {
     /// How many planes of 16 bits the default model has for what its other layers leave. Each takes the place of four of those; there
     /// are no tiles then.
     pub residual: usize,
+    /// Most pictures between which is interpolated; of more, all shape the layers, and an even choice keeps its weights.
+    pub nodes: usize,
     /// Bytes of memory that all may take: stacks larger than three quarters of it are read twice, and planes that find no room go
     /// to files.
     pub memory: usize,
@@ -89,6 +90,7 @@ impl Default for Params {
             tiling: Tiling::Auto,
             chroma: 1.0,
             residual: 0,
+            nodes: MOST_NODES,
             memory: 2048 << 20,
             scratch: None,
         }
@@ -180,13 +182,17 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     if params.model != Model::Layers && params.codecs().iter().any(|c| c.channels() != 3) {
         return Err(Error::Parameter("this model needs layers of three channels: bc1, bc6h, bc7 or rgb8".into()));
     }
+    if params.nodes == 0 {
+        return Err(Error::Parameter("no pictures to interpolate between: at least one is needed".into()));
+    }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
     let views = stack.views();
-    if lights.len() > MOST_NODES && !matches!(params.model, Model::Ptm | Model::Hsh) {
+    if lights.len() > params.nodes && !matches!(params.model, Model::Ptm | Model::Hsh) {
         stack.warnings.push(format!(
-            "{}: of {} pictures all shape the layers, but only {MOST_NODES}, spread evenly, are interpolated between",
+            "{}: of {} pictures all shape the layers, but only {}, spread evenly, are interpolated between",
             stack.folder.display(),
-            lights.len()
+            lights.len(),
+            params.nodes
         ));
     }
     if matches!(params.model, Model::Ptm | Model::Hsh) && !views.is_empty() {
@@ -346,9 +352,9 @@ impl Job<'_> {
         }
     }
 
-    /// The pictures between which is interpolated: all, or [`MOST_NODES`] of more.
+    /// The pictures between which is interpolated: all, or [`Params::nodes`] of more.
     fn nodes(&self) -> Vec<usize> {
-        let (n, most) = (self.lights.len(), self.lights.len().min(MOST_NODES));
+        let (n, most) = (self.lights.len(), self.lights.len().min(self.params.nodes));
         (0..most).map(|i| i * n / most).collect()
     }
 
@@ -520,7 +526,7 @@ impl Job<'_> {
         (self.progress)("decomposing");
         let n = self.lights.len();
         // Of very many lights the products of all with each other are not summed.
-        let vectors = if self.params.randomised || n > MOST_NODES {
+        let vectors = if self.params.randomised || n > self.params.nodes {
             pca::randomised_lights(&self.matrix, terms, 2, 1)
         } else {
             let (gram, white) = pca::light_gram(&self.matrix, 1);

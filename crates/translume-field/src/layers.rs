@@ -80,7 +80,8 @@ impl Candidate {
         let (mut cross, mut products) = (DMatrix::zeros(n, inputs), DMatrix::zeros(n, n));
         let mut own = Vec::new();
         for band in left.bands(CHUNK, inputs + n) {
-            let (from, to) = (left.read(0..inputs, band.clone(), &mut buffer)?, decoded.read(0..n, band.clone(), &mut own)?);
+            let (from, to) =
+                (left.read(0..inputs, band.clone(), &mut buffer)?, decoded.read(0..n, band.clone(), &mut own)?);
             add_dots(&mut cross, band.len(), to, from);
             add_dots(&mut products, band.len(), to, to);
         }
@@ -500,11 +501,15 @@ mod tests {
                 })
             })
             .collect();
-        let left = left_in_tiles(&Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], 8, ENOUGH_FOR_TILES).unwrap();
+        let left =
+            left_in_tiles(&Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], 8, ENOUGH_FOR_TILES)
+                .unwrap();
         assert!(left[0][2] == 0.0 && left[0][1] > left[4][1] && left[4][1] > left[8][1]);
         let error = |tiles: Option<&Tiles>, count: usize| {
             let plan = Plan { count, residual: 0, closed_loop: true, tiles };
-            let layers = encode(Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], &plan, &mut |_| Ok(())).unwrap();
+            let layers =
+                encode(Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], &plan, &mut |_| Ok(()))
+                    .unwrap();
             let total: f64 = planes.iter().map(|v| f64::from(v * v)).sum::<f64>() / (size.0 * size.1) as f64;
             total - (layers.weights.transpose() * &layers.products * &layers.weights).trace()
         };
@@ -527,7 +532,14 @@ mod tests {
             .flat_map(|w| a.iter().zip(&b).map(move |(a, b)| 3.0 + w * a + (1.0 - w) * b))
             .collect();
         let left = |count: usize| {
-            let layers = encode(Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc4], &whole(count), &mut |_| Ok(())).unwrap();
+            let layers = encode(
+                Planes::of(size.0 * size.1, planes.clone()),
+                size,
+                &[Codec::Bc4],
+                &whole(count),
+                &mut |_| Ok(()),
+            )
+            .unwrap();
             let values: Vec<Vec<f32>> =
                 layers.textures.iter().map(|t| t.values(size.0, size.1).unwrap().swap_remove(0)).collect();
             let mut sum = 0.0;
@@ -555,7 +567,8 @@ mod tests {
         let texels: Vec<f32> =
             (0..9).flat_map(|k| (0..pixels).map(move |i| if k == 0 { 10.0 } else { 1.0 } * wave(k, i))).collect();
         let left = |codecs: &[Codec]| {
-            let layers = encode(Planes::of(size.0 * size.1, texels.clone()), size, codecs, &whole(4), &mut |_| Ok(())).unwrap();
+            let layers =
+                encode(Planes::of(size.0 * size.1, texels.clone()), size, codecs, &whole(4), &mut |_| Ok(())).unwrap();
             let n = layers.products.nrows();
             let total: f64 = texels.iter().map(|v| f64::from(v * v)).sum::<f64>() / pixels as f64;
             let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
@@ -564,7 +577,10 @@ mod tests {
         let (single, singles, _) = left(&[Codec::Bc4]);
         let (mixed, planes, codecs) = left(&[Codec::Bc4, Codec::Bc1]);
         assert_eq!(singles, 4);
-        assert_eq!(best_codecs(&Planes::of(pixels, texels.clone()), size, &[Codec::Bc4, Codec::Bc1], 4, true).unwrap().last(), Some(&Codec::Bc1));
+        assert_eq!(
+            best_codecs(&Planes::of(pixels, texels.clone()), size, &[Codec::Bc4, Codec::Bc1], 4, true).unwrap().last(),
+            Some(&Codec::Bc1)
+        );
         assert!(planes > 4 && mixed < 0.8 * single, "{mixed} against {single}: {codecs:?}");
     }
 

@@ -39,8 +39,7 @@ fn picture(field: &Field) -> Option<Vec<u8>> {
     };
     Relighter::by_rows(field, &mix, add).ok()?;
     let code = |sum: f32, n: i32| colour::linear_to_srgb((sum / (n as f32 * field.white)).clamp(0.0, 1.0));
-    let rgb: Vec<u8> =
-        sums.iter().flat_map(|(sum, n)| sum.map(|s| (255.0 * code(s, *n) + 0.5) as u8)).collect();
+    let rgb: Vec<u8> = sums.iter().flat_map(|(sum, n)| sum.map(|s| (255.0 * code(s, *n) + 0.5) as u8)).collect();
     encode_jpeg(size, &rgb, QUALITY).ok()
 }
 

@@ -1,4 +1,4 @@
-//! Compressing within a bound on memory.
+//! Compressing within bounds on memory and on what is solved.
 
 use translume_field::lights::Shot;
 use translume_field::{Field, Model, Params, Rate, Result, Stack, compress, measure};
@@ -82,4 +82,36 @@ fn stacks_larger_than_the_memory_are_read_twice_and_too_little_is_said_before() 
     };
     let (little, much) = (psnr(&field), psnr(&roomy));
     assert!(little > much - 0.5, "{little} dB in the least memory, {much} dB");
+}
+
+#[test]
+fn of_very_many_pictures_all_shape_the_layers_and_some_are_interpolated_between() {
+    let dir = tempfile::tempdir().unwrap();
+    let stack = stack(dir.path());
+    let params = Params { rate: Rate::Terms(4), ..Params::default() };
+    let all = made(&stack, params.clone()).unwrap();
+    let mut one = stack.clone();
+    let some = compress(&mut one, &Params { nodes: 5, ..params.clone() }, &|_| ()).unwrap();
+    let said: Vec<_> = one.warnings.iter().filter(|w| w.contains("of 12 pictures all shape the layers")).collect();
+    assert!(said.len() == 1 && said[0].contains("but only 5, spread evenly"), "{:?}", one.warnings);
+    assert!(some.layers == all.layers && some.lights().len() == 5);
+    // Those keep the weights that they have among all.
+    for (i, light) in some.lights().iter().enumerate() {
+        let same = all.lights().iter().position(|l| l == light).unwrap();
+        let (a, b) = (some.mix_of_light(i).unwrap(), all.mix_of_light(same).unwrap());
+        let near = |a: &[f32; 3], b: &[f32; 3]| (0..3).all(|c| (a[c] - b[c]).abs() < 1e-3);
+        assert!(near(&a.constant, &b.constant) && a.layers.iter().zip(&b.layers).all(|(a, b)| near(a, b)));
+    }
+    // The thesis' model finds its directions without the products of all pictures with each other, and as good ones.
+    let pca = |nodes: usize| made(&stack, Params { model: Model::LogPca, nodes, ..params.clone() }).unwrap();
+    let (exact, some) = (pca(12), pca(5));
+    let light = 0;
+    let pictures =
+        [&exact, &some].map(|f| translume_field::Relighter::new(f).unwrap().picture(&f.mix_of_light(light).unwrap()));
+    let (mut error, mut energy) = (0.0, 0.0);
+    for (a, b) in pictures[0].iter().zip(&pictures[1]) {
+        (error, energy) = (error + (a - b).powi(2), energy + a * a);
+    }
+    assert!(some.lights().len() == 5 && error < 5e-3 * energy, "{error} of {energy}");
+    assert!(made(&stack, Params { nodes: 0, ..params }).is_err());
 }
