@@ -6,7 +6,9 @@ use crate::field::{Angular, Field, Model};
 use crate::file;
 use crate::layers::{self, Plan};
 use crate::matrix::{self, Matrix};
+use crate::memory::{Demand, Shares};
 use crate::pca;
+use crate::planes::Planes;
 use crate::sphere::{Kernel, points};
 use crate::stack::Stack;
 use crate::texture::{Codec, Texture};
@@ -14,19 +16,19 @@ use crate::tiles::{self, Tiles, Tiling};
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
+use std::path::PathBuf;
 
 /// Most layers of a field.
 pub const MOST_TERMS: usize = 128;
-/// Most pictures between which is interpolated: for more, the dense system is not solved in reasonable time, which every
-/// opening of the field takes again. Of more, all shape the layers, and an even choice keeps its weights.
-pub(crate) const MOST_NODES: usize = 4096;
+/// Pictures for whose dense system there is time: every opening of the field solves it again.
+const MOST_NODES: usize = 4096;
 /// Texels that are enough to find principal directions from.
 const ENOUGH: usize = 1 << 17;
 
 /// Layers of 4 bits a texel that one of 16 bits takes the place of.
 const RESIDUAL_LAYERS: usize = 4;
 
-/// Memory for principal planes beside the stack.
+/// Memory for principal planes beside the stack, by which their number is chosen.
 const BESIDE: usize = 256 << 20;
 
 /// How to compress.
@@ -53,8 +55,13 @@ pub struct Params {
     /// How many planes of 16 bits the default model has for what its other layers leave. Each takes the place of four of those; there
     /// are no tiles then.
     pub residual: usize,
-    /// Bytes that the stack may take in memory; larger ones are read twice. Planes take at least 256 MiB more.
+    /// Most pictures between which is interpolated; of more, all shape the layers, and an even choice keeps its weights.
+    pub nodes: usize,
+    /// Bytes of memory that all may take: stacks larger than three quarters of it are read twice, and planes that find no room go
+    /// to files.
     pub memory: usize,
+    /// Folder for those files, which have no names and end with the process; `None`: the system's for temporary files.
+    pub scratch: Option<PathBuf>,
 }
 
 /// What decides the number of layers.
@@ -83,7 +90,9 @@ impl Default for Params {
             tiling: Tiling::Auto,
             chroma: 1.0,
             residual: 0,
-            memory: 1536 << 20,
+            nodes: MOST_NODES,
+            memory: 2048 << 20,
+            scratch: None,
         }
     }
 }
@@ -112,6 +121,13 @@ impl Params {
     /// Most terms that a stack of `lights` pictures gives.
     fn most(&self, lights: usize) -> usize {
         if self.model == Model::Layers { MOST_TERMS.min(3 * lights) } else { MOST_TERMS.min(lights) }
+    }
+
+    /// Whether the picture is large enough for tiles to differ, and all is as they need it.
+    fn may_tile(&self, stack: &Stack) -> bool {
+        let (across, down) = Tiles::grid(stack.width, stack.height);
+        let blocks = self.codecs().iter().all(|c| matches!(c, Codec::Bc1 | Codec::Bc4));
+        across * down >= 16 && blocks && self.closed_loop && self.residual == 0
     }
 
     /// The number of terms, where the pictures need not be looked at.
@@ -166,16 +182,19 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     if params.model != Model::Layers && params.codecs().iter().any(|c| c.channels() != 3) {
         return Err(Error::Parameter("this model needs layers of three channels: bc1, bc6h, bc7 or rgb8".into()));
     }
+    if params.nodes == 0 {
+        return Err(Error::Parameter("no pictures to interpolate between: at least one is needed".into()));
+    }
     let lights: Vec<[f32; 3]> = stack.shots.iter().map(|s| s.light).collect();
     let views = stack.views();
-    if lights.len() > MOST_NODES && !matches!(params.model, Model::Ptm | Model::Hsh) {
+    if lights.len() > params.nodes && !matches!(params.model, Model::Ptm | Model::Hsh) {
         stack.warnings.push(format!(
-            "{}: of {} pictures all shape the layers, but only {MOST_NODES}, spread evenly, are interpolated between",
+            "{}: of {} pictures all shape the layers, but only {}, spread evenly, are interpolated between",
             stack.folder.display(),
-            lights.len()
+            lights.len(),
+            params.nodes
         ));
     }
-    stack.reading = params.memory;
     if matches!(params.model, Model::Ptm | Model::Hsh) && !views.is_empty() {
         return Err(Error::Parameter(
             "PTM and HSH are functions of the light: pictures from several views need another model".into(),
@@ -191,8 +210,12 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
         let what = format!("{} lights do not determine the {} terms of {basis:?}", lights.len(), basis.terms());
         return Err(Error::Parameter(what));
     }
-    let matrix = Matrix::read(stack, domain, params.memory, &|| progress("reading"))?;
-    let mut job = Job { stack, params, domain, matrix, lights, views, progress };
+    // How many layers a PSNR takes is not known before; what they take is looked at when it is.
+    let demand = demand(stack, params, terms.unwrap_or(1), basis);
+    let shares = Shares::new(stack, params, demand, matches!(params.rate, Rate::Psnr(_)))?;
+    stack.reading = shares.reading;
+    let matrix = Matrix::read(stack, domain, shares.stack, &|| progress("reading"))?;
+    let mut job = Job { stack, params, domain, matrix, shares, lights, views, progress };
     let mut field = match (basis, terms) {
         (Some(basis), _) => job.polynomial(basis)?,
         (None, Some(terms)) => job.field_of(terms)?,
@@ -200,6 +223,21 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     };
     file::quantise_weights(&mut field);
     Ok(field)
+}
+
+/// What `terms` layers, or the terms of `basis`, take.
+fn demand(stack: &Stack, params: &Params, terms: usize, basis: Option<Basis>) -> Demand {
+    if params.model != Model::Layers {
+        let textures = basis.map_or(terms, Basis::terms);
+        return Demand { textures, residual: 0, inputs: 3 * textures, decoded: 0 };
+    }
+    let coarse = terms - RESIDUAL_LAYERS * params.residual;
+    // Some tiles may have more layers.
+    let tiled = params.may_tile(stack) && params.tiling != Tiling::Whole;
+    let textures = if tiled { (2 * coarse).min(params.most(stack.shots.len())) } else { coarse };
+    let decoded = layers::planes_of(&params.codecs(), textures) + params.residual;
+    let inputs = (layers::planes_of(&params.codecs(), terms) + 8).min(3 * stack.shots.len());
+    Demand { textures, residual: params.residual, inputs, decoded }
 }
 
 /// What a trial says: what is left in all, and layers by tile, unless all have all.
@@ -213,6 +251,7 @@ struct Job<'a> {
     params: &'a Params,
     domain: Domain,
     matrix: Matrix,
+    shares: Shares,
     lights: Vec<[f32; 3]>,
     views: Vec<[f32; 3]>,
     progress: &'a (dyn Fn(&str) + Sync),
@@ -224,9 +263,21 @@ impl Job<'_> {
         (self.matrix.texels / ENOUGH).max(1)
     }
 
-    fn project(&mut self, projection: &DMatrix<f32>, offset: &[f32]) -> Result<Vec<f32>> {
-        let progress = self.progress;
-        self.matrix.project(self.stack, self.domain, projection, offset, &|| progress("reading"))
+    /// Planes of all pixels; the matrix is given back where nothing needs it any more.
+    fn project(&mut self, projection: &DMatrix<f32>, offset: &[f32], demand: Demand) -> Result<Planes> {
+        let (progress, kept) = (self.progress, matches!(self.params.rate, Rate::Psnr(_)));
+        if !kept && !self.matrix.is_whole() {
+            self.matrix.release();
+        }
+        let matrix = self.matrix.bytes();
+        let reading = if self.matrix.is_whole() { 0 } else { self.stack.bytes_to_read() };
+        let demand = Demand { inputs: projection.ncols(), ..demand };
+        let mut planes = self.shares.planes(self.stack, demand, matrix + reading, if kept { matrix } else { 0 })?;
+        self.matrix.project(self.stack, self.domain, projection, offset, &mut planes, &|| progress("reading"))?;
+        if !kept {
+            self.matrix.release();
+        }
+        Ok(planes)
     }
 
     fn field_of(&mut self, terms: usize) -> Result<Field> {
@@ -265,15 +316,25 @@ impl Job<'_> {
 
     /// Of the texels held and up to 64 lights, after tone mapping.
     fn psnr(&self, field: &Field) -> Result<f64> {
-        let relighter = Relighter::new(field)?;
         let nodes = self.nodes();
         let n = nodes.len();
         let picked: Vec<usize> = (0..n.min(64)).map(|i| i * n / n.min(64)).collect();
+        // All of a large field decoded would take more memory than its layers do.
+        const LARGE: usize = 1 << 22;
+        let large = self.stack.pixels() > LARGE;
+        let relighter = if large { None } else { Some(Relighter::without_directions(field)?) };
+        let mut picture = vec![0.0; 3 * self.stack.pixels()];
         let mut mse = 0.0;
         for &i in &picked {
             let Some(mix) = field.mix_of_light(i) else { continue };
-            let got = relighter.picture(&mix);
-            mse += self.matrix.display_error(nodes[i], &got, field.white, self.domain) / picked.len() as f64;
+            picture.fill(0.0);
+            match &relighter {
+                Some(relighter) => relighter.add_picture(&mix, [1.0; 3], &mut picture),
+                None => Relighter::by_rows(field, &mix, &mut |above, light| {
+                    picture[3 * above * field.width..][..light.len()].copy_from_slice(light);
+                })?,
+            }
+            mse += self.matrix.display_error(nodes[i], &picture, field.white, self.domain) / picked.len() as f64;
         }
         Ok(-10.0 * mse.max(1e-20).log10())
     }
@@ -291,9 +352,9 @@ impl Job<'_> {
         }
     }
 
-    /// The pictures between which is interpolated: all, or [`MOST_NODES`] of more.
+    /// The pictures between which is interpolated: all, or [`Params::nodes`] of more.
     fn nodes(&self) -> Vec<usize> {
-        let (n, most) = (self.lights.len(), self.lights.len().min(MOST_NODES));
+        let (n, most) = (self.lights.len(), self.lights.len().min(self.params.nodes));
         (0..most).map(|i| i * n / most).collect()
     }
 
@@ -322,23 +383,19 @@ impl Job<'_> {
         let (directions, _) = pca::randomised(&self.matrix, &means, planes, 1, step);
         let offset: Vec<f32> =
             directions.tr_mul(&nalgebra::DVector::from_column_slice(&means)).iter().copied().collect();
-        self.warn_of_planes(directions.ncols());
-        let mut planes = self.project(&directions, &offset)?;
-        if !matches!(self.params.rate, Rate::Psnr(_)) {
-            self.matrix.release();
-        }
+        let mut planes = self.project(&directions, &offset, demand(self.stack, self.params, terms, None))?;
         (self.progress)("encoding");
         let size = (self.stack.width, self.stack.height);
         let metric = self.metric(&directions)?;
         if let Some(root) = &metric {
-            transform(&mut planes, size.0 * size.1, &root.map(|v| v as f32));
+            transform(&mut planes, &root.map(|v| v as f32))?;
         }
         let coarse = terms - RESIDUAL_LAYERS * self.params.residual;
         let (codecs, tiles) = self.plan(&planes, &codecs, coarse)?;
         let count = tiles.as_ref().map_or(coarse, Tiles::most);
         let Params { residual, closed_loop, .. } = *self.params;
         let plan = Plan { count, residual, closed_loop, tiles: tiles.as_ref() };
-        let mut found = layers::encode(planes, size, &codecs, &plan, &mut |_| ())?;
+        let mut found = layers::encode(planes, size, &codecs, &plan, &mut |_| Ok(()))?;
         if let Some(inverse) = metric.and_then(|root| root.try_inverse()) {
             found.weights *= inverse;
         }
@@ -357,23 +414,6 @@ impl Job<'_> {
         Ok(Field { tiles, ..self.field(found.textures, angular) })
     }
 
-    /// Says so when planes, which are held whole while they are encoded, take far more than the stack may.
-    fn warn_of_planes(&mut self, count: usize) {
-        let bytes = 4 * count * self.stack.pixels();
-        if bytes > self.params.memory + BESIDE {
-            let gb = |n: usize| n as f64 / 1e9;
-            self.stack.warnings.push(format!(
-                "{}: {count} planes of {} × {} texels take {:.1} GB beside the {:.1} GB for the stack; fewer layers or smaller \
-                 pictures take less",
-                self.stack.folder.display(),
-                self.stack.width,
-                self.stack.height,
-                gb(bytes),
-                gb(self.params.memory)
-            ));
-        }
-    }
-
     /// How many principal planes are found for `terms` layers: as many as those hold, and a few; for tiles, some of which have more
     /// layers, up to twice as many, as memory allows.
     fn principal_planes(&self, terms: usize, channels: usize) -> usize {
@@ -381,7 +421,7 @@ impl Job<'_> {
         if !self.may_tile() || self.params.tiling == Tiling::Whole {
             return needed;
         }
-        let room = (self.params.memory + BESIDE).saturating_sub(self.matrix.bytes());
+        let room = (self.shares.stack + BESIDE).saturating_sub(self.matrix.bytes());
         (room / (4 * self.stack.pixels())).clamp(needed, 2 * terms * channels + 8)
     }
 
@@ -398,11 +438,8 @@ impl Job<'_> {
         self.matrix.means(step)
     }
 
-    /// Whether the picture is large enough for tiles to differ, and all is as they need it.
     fn may_tile(&self) -> bool {
-        let (across, down) = Tiles::grid(self.stack.width, self.stack.height);
-        let blocks = self.params.codecs().iter().all(|c| matches!(c, Codec::Bc1 | Codec::Bc4));
-        across * down >= 16 && blocks && self.params.closed_loop && self.params.residual == 0
+        self.params.may_tile(self.stack)
     }
 
     /// What makes errors of colour weigh less, in principal coordinates: the lower root L of the metric, so that e L has the length that
@@ -426,7 +463,7 @@ impl Job<'_> {
 
     /// Which codecs to encode with, and how many layers each tile gets (`None`: all have all), for the bytes of `terms` layers everywhere:
     /// whatever leaves least in a trial on a part of the picture.
-    fn plan(&self, planes: &[f32], codecs: &[Codec], terms: usize) -> Result<(Vec<Codec>, Option<Tiles>)> {
+    fn plan(&self, planes: &Planes, codecs: &[Codec], terms: usize) -> Result<(Vec<Codec>, Option<Tiles>)> {
         let size = (self.stack.width, self.stack.height);
         if !self.may_tile() || self.params.tiling == Tiling::Whole {
             return Ok((layers::best_codecs(planes, size, codecs, terms, self.params.closed_loop)?, None));
@@ -488,7 +525,8 @@ impl Job<'_> {
     fn eigenimages(&mut self, terms: usize) -> Result<Field> {
         (self.progress)("decomposing");
         let n = self.lights.len();
-        let vectors = if self.params.randomised {
+        // Of very many lights the products of all with each other are not summed.
+        let vectors = if self.params.randomised || n > self.params.nodes {
             pca::randomised_lights(&self.matrix, terms, 2, 1)
         } else {
             let (gram, white) = pca::light_gram(&self.matrix, 1);
@@ -502,16 +540,16 @@ impl Job<'_> {
                 3 * terms,
                 |row, out| if row % 3 == out % 3 { table[(row / 3, out / 3)] } else { 0.0 },
             );
-        let planes = self.project(&projection, &vec![0.0; 3 * terms])?;
+        let planes = self.project(&projection, &vec![0.0; 3 * terms], demand(self.stack, self.params, terms, None))?;
         (self.progress)("encoding");
-        let pixels = self.stack.pixels();
-        let products = DMatrix::from_fn(terms, terms, |i, j| {
-            if i == j {
-                planes[3 * i * pixels..3 * (i + 1) * pixels].iter().map(|v| f64::from(v * v)).sum()
-            } else {
-                0.0
+        let (mut energies, mut buffer) = (vec![0.0; terms], Vec::new());
+        for plane in 0..planes.count() {
+            for band in planes.bands(1, 1) {
+                let values = planes.read(plane..plane + 1, band, &mut buffer)?;
+                values.iter().for_each(|v| energies[plane / 3] += f64::from(v * v));
             }
-        });
+        }
+        let products = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(energies));
         let layers = self.textures(&planes)?;
         (self.progress)("interpolating");
         let factors = vectors * products.map(f64::sqrt);
@@ -529,28 +567,35 @@ impl Job<'_> {
                 3 * terms,
                 |row, out| if row % 3 == out % 3 { fit[(out / 3, row / 3)] as f32 } else { 0.0 },
             );
-        let planes = self.project(&projection, &vec![0.0; 3 * terms])?;
+        let demand = demand(self.stack, self.params, terms, Some(basis));
+        let planes = self.project(&projection, &vec![0.0; 3 * terms], demand)?;
         (self.progress)("encoding");
         let layers = self.textures(&planes)?;
         Ok(self.field(layers, Angular::Basis(basis)))
     }
 
-    fn textures(&self, planes: &[f32]) -> Result<Vec<Texture>> {
-        let pixels = self.stack.pixels();
-        let rgb = planes.chunks(3 * pixels);
-        rgb.map(|p| Texture::encode(self.params.codecs()[0], &p.chunks(pixels).collect::<Vec<_>>(), self.stack.width))
-            .collect()
+    fn textures(&self, planes: &Planes) -> Result<Vec<Texture>> {
+        let (codec, width) = (self.params.codecs()[0], self.stack.width);
+        let texture =
+            |first: usize| layers::encode_planes(codec, (planes, first), width, &|_, _| true, &mut |_, _| Ok(()));
+        (0..planes.count()).step_by(3).map(texture).collect()
     }
 }
 
 /// Multiplies the rows (a texel, a value of each plane) by a square matrix.
-fn transform(planes: &mut [f32], pixels: usize, by: &DMatrix<f32>) {
-    let n = planes.len() / pixels;
-    matrix::pieces_of(planes, pixels, n).into_par_iter().for_each(|mut piece| {
-        let rows = DMatrix::from_fn(piece[0].len(), n, |i, j| piece[j][i]);
-        let product = rows * by;
-        piece.iter_mut().zip(product.column_iter()).for_each(|(p, c)| p.copy_from_slice(c.as_slice()));
-    });
+fn transform(planes: &mut Planes, by: &DMatrix<f32>) -> Result<()> {
+    let (n, mut buffer) = (planes.count(), Vec::new());
+    for band in planes.bands(matrix::PIECE, n) {
+        planes.edit(band.clone(), &mut buffer, |values| {
+            matrix::pieces_of(values, band.len(), n).into_par_iter().for_each(|mut piece| {
+                let rows = DMatrix::from_fn(piece[0].len(), n, |i, j| piece[j][i]);
+                let product = rows * by;
+                piece.iter_mut().zip(product.column_iter()).for_each(|(p, c)| p.copy_from_slice(c.as_slice()));
+            });
+            Ok(())
+        })?;
+    }
+    Ok(())
 }
 
 /// L with LLᵀ = `matrix`, which is positive semi-definite up to rounding.

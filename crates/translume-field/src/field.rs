@@ -8,9 +8,10 @@ use crate::Domain;
 use crate::basis::Basis;
 use crate::sphere::Kernel;
 use crate::texture::Texture;
-use crate::tiles::Tiles;
+use crate::tiles::{self, Tiles};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// How a field was made, and so what its layers are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,6 +115,28 @@ impl Field {
         match &self.angular {
             Angular::Lights { views, .. } => views,
             Angular::Basis(_) => &[],
+        }
+    }
+
+    /// The part of the field in some of the rows of texels, which begin with a row of tiles and end with one or with the picture.
+    pub(crate) fn rows(&self, rows: Range<usize>) -> Self {
+        let cut = |l: &Texture| {
+            let bytes = l.codec.bytes(self.width, rows.start)..l.codec.bytes(self.width, rows.end);
+            Texture { data: l.data.get(bytes).unwrap_or_default().to_vec(), ..*l }
+        };
+        let part = |t: &Tiles| {
+            let counts = rows.start / tiles::SIDE * t.across..rows.end.div_ceil(tiles::SIDE) * t.across;
+            Tiles { across: t.across, counts: t.counts.get(counts).unwrap_or_default().to_vec() }
+        };
+        Self {
+            model: self.model,
+            width: self.width,
+            height: rows.len(),
+            domain: self.domain,
+            white: self.white,
+            layers: self.layers.iter().map(cut).collect(),
+            tiles: self.tiles.as_ref().map(part),
+            angular: self.angular.clone(),
         }
     }
 

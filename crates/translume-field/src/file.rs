@@ -13,6 +13,7 @@ use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::io::{self, Write};
 use std::path::Path;
 use translume_image::atomic;
 
@@ -113,33 +114,118 @@ fn values(codes: &[u16], rows: usize, (low, high): (&[f32], &[f32]), bits: u32) 
 /// The number of a layer, and its blocks.
 type Numbered<'a> = (usize, &'a [u8]);
 
+/// What a buffer view holds.
+enum Part<'a> {
+    Bytes(Vec<u8>),
+    /// A texture array of whole layers.
+    Layers(Codec, (usize, usize), Vec<Numbered<'a>>),
+    /// One of the tiles of layers that are so many blocks wide.
+    Tiles(Codec, &'a Tiles, usize, Vec<Numbered<'a>>),
+}
+
+impl Part<'_> {
+    /// Its header, if it is a texture array, and the bytes of all.
+    fn header(&self) -> (Vec<u8>, usize) {
+        let (codec, size, count) = match self {
+            Self::Bytes(bytes) => return (Vec::new(), bytes.len()),
+            Self::Layers(codec, size, layers) => (*codec, *size, layers.len()),
+            Self::Tiles(codec, tiles, _, layers) => {
+                let (size, count) = tiles.atlas(layers.iter().map(|l| l.0));
+                (*codec, size, count)
+            }
+        };
+        let header = ktx2::header(codec, size, count);
+        let length = header.len() + count * codec.bytes(size.0, size.1);
+        (header, length)
+    }
+
+    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        out.write_all(&self.header().0)?;
+        match self {
+            Self::Bytes(bytes) => out.write_all(bytes),
+            Self::Layers(.., layers) => layers.iter().try_for_each(|l| out.write_all(l.1)),
+            Self::Tiles(_, tiles, blocks, layers) => tiles.pack(layers, *blocks, &mut |part| out.write_all(part)),
+        }
+    }
+}
+
+/// The file: its JSON, and what its buffer holds. Textures are not copied.
+struct Contents<'a> {
+    text: Vec<u8>,
+    /// Each, and where it begins.
+    parts: Vec<(usize, Part<'a>)>,
+    /// Bytes of the buffer.
+    buffer: usize,
+}
+
+impl Contents<'_> {
+    fn len(&self) -> usize {
+        12 + 8 + self.text.len() + 8 + self.buffer
+    }
+
+    /// Header, JSON chunk, binary chunk.
+    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        out.write_all(b"glTF")?;
+        for v in [2, self.len() as u32, self.text.len() as u32] {
+            out.write_all(&v.to_le_bytes())?;
+        }
+        out.write_all(b"JSON")?;
+        out.write_all(&self.text)?;
+        out.write_all(&(self.buffer as u32).to_le_bytes())?;
+        out.write_all(b"BIN\0")?;
+        let mut at = 0;
+        for (start, part) in &self.parts {
+            out.write_all(&[0; ALIGN][..start - at])?;
+            part.write(out)?;
+            at = start + part.header().1;
+        }
+        out.write_all(&[0; ALIGN][..self.buffer - at])
+    }
+}
+
+/// Buffer views begin at multiples of this.
+const ALIGN: usize = 16;
+
 /// Writes a field; it appears whole or not at all. `command` says how it was made. The preview is left out where the file would
 /// be larger than `most` bytes.
 ///
 /// # Errors
-/// [`Error::Picture`] when the file cannot be written.
+/// [`Error::Picture`] or [`Error::Io`] when the file cannot be written.
 pub fn write(path: &Path, field: &Field, command: &str, most: Option<usize>) -> Result<()> {
-    let mut bytes = to_bytes(field, command, true);
-    if most.is_some_and(|most| bytes.len() > most) {
-        bytes = to_bytes(field, command, false);
+    let mut contents = contents(field, command, true);
+    if most.is_some_and(|most| contents.len() > most) {
+        contents = self::contents(field, command, false);
     }
-    Ok(atomic::write_bytes(path, &bytes)?)
+    atomic::write(path, |out| contents.write(out).map_err(|e| Error::io(path, e)))
 }
 
 /// The bytes of the file, with or without a preview.
 pub fn to_bytes(field: &Field, command: &str, preview: bool) -> Vec<u8> {
-    let (mut binary, mut views, mut textures) = (Vec::new(), Vec::new(), Vec::new());
-    let mut add_as = |bytes: &[u8], mut view: Value| {
-        binary.resize(usize::next_multiple_of(binary.len(), 16), 0u8);
+    let contents = contents(field, command, preview);
+    let mut out = Vec::with_capacity(contents.len());
+    // Memory takes everything.
+    let _ = contents.write(&mut out);
+    out
+}
+
+fn contents<'a>(field: &'a Field, command: &str, preview: bool) -> Contents<'a> {
+    let (mut parts, mut views, mut buffer, mut textures) = (Vec::new(), Vec::new(), 0usize, Vec::new());
+    let mut add_as = |part: Part<'a>, mut view: Value| {
+        let (start, length) = (buffer.next_multiple_of(ALIGN), part.header().1);
         view["buffer"] = json!(0);
-        view["byteOffset"] = json!(binary.len());
-        view["byteLength"] = json!(bytes.len());
+        view["byteOffset"] = json!(start);
+        view["byteLength"] = json!(length);
         views.push(view);
-        binary.extend_from_slice(bytes);
+        parts.push((start, part));
+        buffer = start + length;
         views.len() - 1
     };
-    let scene = if preview { preview::scene(field, &mut add_as) } else { serde_json::Map::new() };
-    let mut add = |bytes: &[u8]| add_as(bytes, json!({}));
+    let scene = if preview {
+        preview::scene(field, &mut |bytes, view| add_as(Part::Bytes(bytes.to_vec()), view))
+    } else {
+        serde_json::Map::new()
+    };
+    let mut add_part = |part: Part<'a>| add_as(part, json!({}));
     let mut layers: Vec<LayerEntry> = Vec::new();
     // Layers of one codec are one array.
     let mut arrays: Vec<(Codec, Vec<Numbered<'_>>)> = Vec::new();
@@ -153,18 +239,13 @@ pub fn to_bytes(field: &Field, command: &str, preview: bool) -> Vec<u8> {
         layers.push(LayerEntry { texture, layer, low: l.low[..n].to_vec(), high: l.high[..n].to_vec() });
         arrays[texture].1.push((number, &l.data));
     }
-    for (codec, data) in &arrays {
-        let view = match &field.tiles {
-            None => {
-                add(&ktx2::write(*codec, (field.width, field.height), &data.iter().map(|d| d.1).collect::<Vec<_>>()))
-            }
-            Some(tiles) => {
-                let (size, parts) = tiles.pack(data, field.width.div_ceil(4));
-                add(&ktx2::write(*codec, size, &parts.iter().map(|p| &p[..]).collect::<Vec<_>>()))
-            }
-        };
-        textures.push(view);
+    for (codec, data) in arrays {
+        textures.push(add_part(match &field.tiles {
+            None => Part::Layers(codec, (field.width, field.height), data),
+            Some(tiles) => Part::Tiles(codec, tiles, field.width.div_ceil(4), data),
+        }));
     }
+    let mut add = |bytes: &[u8]| add_part(Part::Bytes(bytes.to_vec()));
     let tiles = field.tiles.as_ref().map(|t| TilesEntry { side: tiles::SIDE, counts_view: add(&t.counts) });
     let weights = match &field.angular {
         Angular::Basis(basis) => Weights::Basis { basis: *basis },
@@ -205,7 +286,7 @@ pub fn to_bytes(field: &Field, command: &str, preview: bool) -> Vec<u8> {
         tiles,
         weights,
     };
-    binary.resize(binary.len().next_multiple_of(4), 0);
+    let buffer = buffer.next_multiple_of(4);
     let mut document = json!({
         "asset": {
             "version": "2.0",
@@ -213,27 +294,14 @@ pub fn to_bytes(field: &Field, command: &str, preview: bool) -> Vec<u8> {
             "extras": { "command": command },
         },
         "extensionsUsed": if scene.is_empty() { json!([EXTENSION]) } else { json!([EXTENSION, "KHR_materials_unlit"]) },
-        "buffers": [{ "byteLength": binary.len() }],
+        "buffers": [{ "byteLength": buffer }],
         "bufferViews": views,
         "extensions": { EXTENSION: manifest },
     });
     scene.into_iter().for_each(|(key, value)| document[key] = value);
-    container(document.to_string().into_bytes(), &binary)
-}
-
-/// Header, JSON chunk, binary chunk.
-fn container(mut text: Vec<u8>, binary: &[u8]) -> Vec<u8> {
+    let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
-    let length = 12 + 8 + text.len() + 8 + binary.len();
-    let mut out = Vec::with_capacity(length);
-    out.extend(b"glTF");
-    [2, length as u32, text.len() as u32].iter().for_each(|v| out.extend(v.to_le_bytes()));
-    out.extend(b"JSON");
-    out.extend(text);
-    out.extend((binary.len() as u32).to_le_bytes());
-    out.extend(b"BIN\0");
-    out.extend(binary);
-    out
+    Contents { text, parts, buffer }
 }
 
 /// Reads a field.
@@ -497,5 +565,42 @@ mod tests {
         newer[at] = b'2';
         let error = from_bytes(&newer, Path::new("f.glb")).unwrap_err().to_string();
         assert!(error.starts_with("f.glb: a field of format version 2.0"), "{error}");
+    }
+
+    /// Whatever numbers a damaged file has, light is a number: files are made of what relights to pixels that others can add up.
+    #[test]
+    fn damaged_numbers_relight_to_finite_pixels() {
+        for field in fields() {
+            for domain in [Domain::default(), Domain::THESIS, Domain::Linear, Domain::Display, Domain::Pu21] {
+                for (range, weight) in [(1e3, 1e3), (1e20, 1.0), (3e38, 1.0), (3e38, -3e38)] {
+                    let mut field = Field { domain, white: 9e17, ..field.clone() };
+                    field.layers.iter_mut().for_each(|l| (l.low, l.high) = ([-0.1 * range; 3], [range; 3]));
+                    if let Angular::Lights { table, .. } = &mut field.angular {
+                        table.iter_mut().for_each(|w| *w *= weight);
+                    }
+                    let read = from_bytes(&to_bytes(&field, "", false), Path::new("f"));
+                    // Refused is as good.
+                    let Ok(read) = read else { continue };
+                    let relighter = Relighter::new(&read).unwrap();
+                    let mixes = read.mix_of_light(1).into_iter().chain([relighter.mix([0.0, 0.6, 0.8])]);
+                    for mix in mixes {
+                        let light = relighter.picture(&mix);
+                        let sound = |v: &f32| v.is_finite() && *v >= 0.0;
+                        assert!(light.iter().all(sound), "{domain:?} {range} {weight}: {:?}", &light[..6]);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_white_beyond_all_light_is_refused() {
+        for white in [0.0, -1.0, 1e18, 3e38] {
+            let field = Field { white, ..fields().swap_remove(0) };
+            let error = from_bytes(&to_bytes(&field, "", false), Path::new("f.glb")).unwrap_err().to_string();
+            assert!(error.starts_with("f.glb: its white is"), "{white}: {error}");
+        }
+        let field = Field { white: 9e17, ..fields().swap_remove(0) };
+        assert!(from_bytes(&to_bytes(&field, "", false), Path::new("f.glb")).is_ok());
     }
 }

@@ -26,17 +26,17 @@ fn is_blocks(codec: Codec) -> bool {
     !matches!(codec, Codec::R8 | Codec::R16 | Codec::Rgb8)
 }
 
-/// A texture array of `layers`, each of the codec's bytes for `width × height`.
-pub(crate) fn write(codec: Codec, (width, height): (usize, usize), layers: &[&[u8]]) -> Vec<u8> {
+/// What is before the data of a texture array of so many `layers`, each of the codec's bytes for `width × height`.
+pub(crate) fn header(codec: Codec, (width, height): (usize, usize), layers: usize) -> Vec<u8> {
     let (vk_format, ..) = format(codec);
     let descriptor = descriptor(codec);
     // Values start at a multiple of the size of a block, and of 4.
     let align = if is_blocks(codec) { codec.bytes(4, 4) } else { 12 };
     let start = (LEVEL_END + descriptor.len()).next_multiple_of(align);
-    let length: usize = layers.iter().map(|l| l.len()).sum();
-    let mut out = Vec::with_capacity(start + length);
+    let length = layers * codec.bytes(width, height);
+    let mut out = Vec::with_capacity(start);
     out.extend(IDENTIFIER);
-    let layer_count = layers.len() as u32;
+    let layer_count = layers as u32;
     let type_size = if codec == Codec::R16 { 2 } else { 1 };
     for v in [vk_format, type_size, width as u32, height as u32, 0, layer_count, 1, 1, 0] {
         out.extend(v.to_le_bytes());
@@ -49,7 +49,6 @@ pub(crate) fn write(codec: Codec, (width, height): (usize, usize), layers: &[&[u
     }
     out.extend(descriptor);
     out.resize(start, 0);
-    layers.iter().for_each(|l| out.extend_from_slice(l));
     out
 }
 
@@ -88,7 +87,7 @@ fn descriptor(codec: Codec) -> Vec<u8> {
 /// What a texture array holds: codec, width, height, and the bytes of each layer.
 pub(crate) type Array<'a> = (Codec, (usize, usize), Vec<&'a [u8]>);
 
-/// Reads a texture array that [`write()`] could have written.
+/// Reads a texture array that follows such a [`header`].
 pub(crate) fn read(file: &[u8]) -> Result<Array<'_>, String> {
     let cut = || "the texture ends early (truncated)".to_owned();
     let u32_at = |at: usize| {
@@ -125,6 +124,10 @@ pub(crate) fn read(file: &[u8]) -> Result<Array<'_>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn write(codec: Codec, size: (usize, usize), layers: &[&[u8]]) -> Vec<u8> {
+        [header(codec, size, layers.len()), layers.concat()].concat()
+    }
 
     #[test]
     fn arrays_come_back_and_damage_is_an_error() {

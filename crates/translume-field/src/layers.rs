@@ -12,10 +12,12 @@
 use crate::Result;
 use crate::matrix::{add_product, transposed, view};
 use crate::pca::eigen;
-use crate::texture::{Codec, Texture};
+use crate::planes::Planes;
+use crate::texture::{Codec, Ends, Texture};
 use crate::tiles::{self, Tiles};
 use nalgebra::{Cholesky, DMatrix};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Texels that one task takes.
 const CHUNK: usize = 1 << 13;
@@ -34,8 +36,8 @@ pub(crate) struct Layers {
 struct Candidate {
     texture: Texture,
     /// Its planes before encoding and after decoding.
-    exact: Vec<Vec<f32>>,
-    decoded: Vec<Vec<f32>>,
+    exact: Planes,
+    decoded: Planes,
     /// Products of the decoded planes with what is left: planes × inputs.
     cross: DMatrix<f64>,
     /// Products of the decoded planes with each other.
@@ -49,29 +51,75 @@ struct Candidate {
 impl Candidate {
     fn new(
         codec: Codec,
-        left: &[f32],
+        left: &Planes,
         size: (usize, usize),
         directions: &DMatrix<f64>,
         part: Option<(&Tiles, usize)>,
     ) -> Result<Self> {
-        let pixels = size.0 * size.1;
+        let (n, inputs) = (codec.channels(), left.count());
         let direction = |j: usize| directions.column(j).iter().map(|v| *v as f32).collect::<Vec<f32>>();
-        let exact: Vec<Vec<f32>> = (0..codec.channels()).map(|j| combine(left, pixels, &direction(j))).collect();
-        let planes: Vec<&[f32]> = exact.iter().map(|p| &p[..]).collect();
-        let keep = |x: usize, y: usize| part.is_none_or(|(tiles, number)| tiles.layers_at(x, y) > number);
-        let texture = Texture::encode_where(codec, &planes, size.0, &keep)?;
-        let mut decoded = texture.values(size.0, size.1)?;
-        if let Some((tiles, number)) = part {
-            decoded.iter_mut().for_each(|plane| tiles.clear(number, plane, size.0));
+        let directions: Vec<Vec<f32>> = (0..n).map(direction).collect();
+        let mut exact = left.empty_like(n)?;
+        exact.grow(n)?;
+        let mut buffer = Vec::new();
+        for band in left.bands(CHUNK, inputs + n) {
+            let values = left.read(0..inputs, band.clone(), &mut buffer)?;
+            for (j, direction) in directions.iter().enumerate() {
+                exact.write(j, band.clone(), &combine(values, band.len(), direction))?;
+            }
         }
-        let n = decoded.len();
-        let inputs = left.len() / pixels;
-        let cross = DMatrix::from_fn(n, inputs, |j, i| dot(&left[i * pixels..(i + 1) * pixels], &decoded[j]));
-        let products = DMatrix::from_fn(n, n, |i, j| dot(&decoded[i], &decoded[j]));
+        let mut decoded = left.empty_like(n)?;
+        decoded.grow(n)?;
+        let keep = |x: usize, y: usize| part.is_none_or(|(tiles, number)| tiles.layers_at(x, y) > number);
+        let texture = encode_planes(codec, (&exact, 0), size.0, &keep, &mut |band, mut values| {
+            for plane in values.iter_mut().filter(|_| part.is_some()) {
+                part.iter().for_each(|(tiles, number)| tiles.clear(*number, plane, size.0, band.start / size.0));
+            }
+            values.iter().enumerate().try_for_each(|(j, plane)| decoded.write(j, band.clone(), plane))
+        })?;
+        let (mut cross, mut products) = (DMatrix::zeros(n, inputs), DMatrix::zeros(n, n));
+        let mut own = Vec::new();
+        for band in left.bands(CHUNK, inputs + n) {
+            let (from, to) =
+                (left.read(0..inputs, band.clone(), &mut buffer)?, decoded.read(0..n, band.clone(), &mut own)?);
+            add_dots(&mut cross, band.len(), to, from);
+            add_dots(&mut products, band.len(), to, to);
+        }
         let weights = least_squares(&products, &cross);
         let gain = weights.dot(&cross) / codec.bytes(4, 4) as f64;
         Ok(Self { texture, exact, decoded, cross, products, weights, gain })
     }
+}
+
+/// Stores the planes of a texture, the first of which is `from.1`, band by band; `decoded` gets what each band decodes to.
+/// Of block codecs only the blocks (x, y) that are to be kept are stored: the others are 0.
+pub(crate) fn encode_planes(
+    codec: Codec,
+    from: (&Planes, usize),
+    width: usize,
+    keep: &(dyn Fn(usize, usize) -> bool + Sync),
+    decoded: &mut dyn FnMut(Range<usize>, Vec<Vec<f32>>) -> Result<()>,
+) -> Result<Texture> {
+    let (planes, n) = (from.0, codec.channels());
+    let own = from.1..from.1 + n;
+    let mut buffer = Vec::new();
+    let mut ends = Ends::default();
+    for band in planes.bands(1, n) {
+        ends.see(&planes.read(own.clone(), band.clone(), &mut buffer)?.chunks(band.len()).collect::<Vec<_>>());
+    }
+    let (low, high) = ends.range(n);
+    let mut texture = Texture { codec, data: Vec::new(), low, high };
+    texture.data.reserve_exact(codec.bytes(width, planes.texels() / width));
+    // Whole blocks and rows of tiles.
+    for band in planes.bands(tiles::SIDE * width, 4 * n) {
+        let values = planes.read(own.clone(), band.clone(), &mut buffer)?;
+        let values: Vec<&[f32]> = values.chunks(band.len()).collect();
+        let above = band.start / width / 4;
+        let part = Texture::encode_in(codec, &values, width, (low, high), &|x, y| keep(x, y + above))?;
+        decoded(band.clone(), part.values(width, band.len() / width)?)?;
+        texture.data.extend(part.data);
+    }
+    Ok(texture)
 }
 
 /// How many textures, and where.
@@ -87,32 +135,31 @@ pub(crate) struct Plan<'a> {
     pub(crate) tiles: Option<&'a Tiles>,
 }
 
-/// Encodes `planes` (several, each of as many values as the picture has pixels; they are used up) as `count` textures, each
-/// in that of `codecs` that takes off most. In an open loop, for comparison, the next texture does not see what encoding
-/// lost. `observe` sees what is left before the first texture and after each.
+/// Encodes `left` (several planes, which are used up) as `count` textures, each in that of `codecs` that takes off most. In an
+/// open loop, for comparison, the next texture does not see what encoding lost. `observe` sees what is left before the first
+/// texture and after each.
 pub(crate) fn encode(
-    mut left: Vec<f32>,
+    mut left: Planes,
     size: (usize, usize),
     codecs: &[Codec],
     plan: &Plan,
-    observe: &mut dyn FnMut(&[f32]),
+    observe: &mut dyn FnMut(&Planes) -> Result<()>,
 ) -> Result<Layers> {
     let Plan { count, residual, closed_loop, tiles } = *plan;
-    let pixels = size.0 * size.1;
-    let inputs = left.len() / pixels;
+    let (pixels, inputs) = (left.texels(), left.count());
     // Products of what is left: followed up, as summing them anew is most of the work.
-    let Gram { mut products, sums } = Gram::of(&left, pixels);
+    let Gram { mut products, sums } = Gram::of(&left)?;
     let energy = products.trace().max(f64::MIN_POSITIVE);
-    let (mut textures, mut decoded) = (Vec::new(), Vec::<Vec<f32>>::new());
+    let most = planes_of(codecs, count) + residual;
+    let (mut textures, mut decoded) = (Vec::new(), left.empty_like(most)?);
     // What was taken off: planes and their weights. In a closed loop the planes are the decoded ones.
-    let (mut taken, mut opened) = (Vec::<Vec<f64>>::new(), Vec::<Vec<f32>>::new());
+    let (mut taken, mut opened) = (Vec::<Vec<f64>>::new(), left.empty_like(if closed_loop { 0 } else { most })?);
     // Products with the planes as they were at first: with what is left, plus what was taken off.
     let mut cross: Vec<Vec<f64>> = vec![sums];
-    observe(&left);
+    observe(&left)?;
     for number in 0..count + residual {
         if let Some(tiles) = tiles {
-            products -= products_in_tiles(&left, size, tiles, number);
-            left.par_chunks_mut(pixels).for_each(|plane| tiles.clear(number, plane, size.0));
+            products -= leave_tiles(&mut left, size, tiles, number)?;
         }
         let (directions, energies) = eigen(&products);
         if energies[0] <= 1e-12 * energy {
@@ -125,40 +172,55 @@ pub(crate) fn encode(
             best = best.filter(|b| b.gain >= candidate.gain).or(Some(candidate));
         }
         let Some(next) = best else { break };
-        let earlier = if closed_loop { &decoded } else { &opened };
-        for (j, plane) in next.decoded.iter().enumerate() {
-            let with_earlier: Vec<f64> = earlier.iter().map(|e| dot(e, plane)).collect();
-            let before = |i: usize| with_earlier.iter().zip(&taken).map(|(d, w)| d * w[i]).sum::<f64>();
+        let with_earlier = dots(&next.decoded, if closed_loop { &decoded } else { &opened })?;
+        for j in 0..next.decoded.count() {
+            let before = |i: usize| with_earlier.row(j).iter().zip(&taken).map(|(d, w)| d * w[i]).sum::<f64>();
             cross.push((0..inputs).map(|i| next.cross[(j, i)] + before(i)).collect());
         }
-        for j in 0..next.decoded.len() {
-            let (plane, weights) = if closed_loop {
-                (&next.decoded[j], next.weights.row(j).iter().copied().collect::<Vec<f64>>())
-            } else {
-                (&next.exact[j], directions.column(j).iter().copied().collect())
-            };
-            subtract(&mut left, pixels, plane, &weights);
-            taken.push(weights);
-        }
+        let n = next.decoded.count();
+        let weights: Vec<Vec<f64>> = match closed_loop {
+            true => (0..n).map(|j| next.weights.row(j).iter().copied().collect()).collect(),
+            false => (0..n).map(|j| directions.column(j).iter().copied().collect()).collect(),
+        };
+        subtract(&mut left, if closed_loop { &next.decoded } else { &next.exact }, &weights)?;
+        taken.extend(weights);
         if closed_loop {
             // (X − D W)ᵀ (X − D W), with C = Dᵀ X.
             let cw = next.cross.transpose() * &next.weights;
             products += next.weights.transpose() * &next.products * &next.weights - &cw - cw.transpose();
         } else {
-            products = Gram::of(&left, pixels).products;
-            opened.extend(next.exact);
+            products = Gram::of(&left)?.products;
+            opened.append(&next.exact)?;
         }
-        decoded.extend(next.decoded);
+        decoded.append(&next.decoded)?;
         textures.push(next.texture);
-        observe(&left);
+        observe(&left)?;
     }
-    let n = 1 + decoded.len();
-    let ones = vec![1.0; pixels];
-    let all: Vec<&[f32]> = std::iter::once(&ones[..]).chain(decoded.iter().map(|d| &d[..])).collect();
-    let upper = DMatrix::from_fn(n, n, |i, j| if i <= j { dot(all[i], all[j]) / pixels as f64 } else { 0.0 });
-    let products = DMatrix::from_fn(n, n, |i, j| upper[(i.min(j), i.max(j))]);
-    let cross = DMatrix::from_fn(n, inputs, |i, j| cross[i][j] / pixels as f64);
+    drop(left);
+    let products = products_with_one(&decoded)?;
+    let cross = DMatrix::from_fn(products.nrows(), inputs, |i, j| cross[i][j] / pixels as f64);
     Ok(Layers { textures, weights: least_squares(&products, &cross), products })
+}
+
+/// Most planes of so many textures.
+pub(crate) fn planes_of(codecs: &[Codec], textures: usize) -> usize {
+    textures * codecs.iter().map(|c| c.channels()).max().unwrap_or(1)
+}
+
+/// Mean products of the constant 1 and the planes.
+fn products_with_one(planes: &Planes) -> Result<DMatrix<f64>> {
+    let (n, texels) = (planes.count(), planes.texels());
+    let mut upper = DMatrix::zeros(1 + n, 1 + n);
+    let mut buffer = Vec::new();
+    for band in planes.bands(CHUNK, n + 1) {
+        let values = planes.read(0..n, band.clone(), &mut buffer)?;
+        let ones = vec![1.0; band.len()];
+        let all: Vec<&[f32]> = std::iter::once(&ones[..]).chain(values.chunks(band.len())).collect();
+        for (i, j) in (0..=n).flat_map(|i| (i..=n).map(move |j| (i, j))) {
+            add_dot(&mut upper[(i, j)], all[i], all[j]);
+        }
+    }
+    Ok(DMatrix::from_fn(1 + n, 1 + n, |i, j| upper[(i.min(j), i.max(j))] / texels as f64))
 }
 
 /// The weights `w` that make `products · w = cross`, a little damped so that layers that repeat each other do no harm.
@@ -180,12 +242,28 @@ pub(crate) const ENOUGH: usize = 1 << 15;
 /// Texels that are enough to find out how many layers each tile needs.
 pub(crate) const ENOUGH_FOR_TILES: usize = 1 << 17;
 
-/// Rows of blocks of several planes, as planes of a lower picture, and its height.
-fn strips(planes: &[f32], (width, height): (usize, usize), rows: &[usize]) -> (Vec<f32>, usize) {
-    let strip = |p: &[f32], i: usize| p[4 * i * width..(4 * i + 4).min(height) * width].to_vec();
-    let part = planes.chunks(width * height).flat_map(|p| rows.iter().flat_map(move |i| strip(p, *i))).collect();
-    (part, rows.iter().map(|i| (4 * i + 4).min(height) - 4 * i).sum())
+/// Rows of blocks of several planes, as planes of a lower picture, of which `more` are to have room, and its height.
+fn strips(planes: &Planes, (width, height): (usize, usize), rows: &[usize], more: usize) -> Result<(Planes, usize)> {
+    let of_strip = |i: &usize| (4 * i + 4).min(height) - 4 * i;
+    let low = rows.iter().map(of_strip).sum::<usize>();
+    let expected = planes.count() + more + if planes.in_memory() { 0 } else { BESIDE };
+    let mut part = planes.room().planes(width * low, expected)?;
+    part.grow(planes.count())?;
+    let mut strip = Vec::new();
+    for plane in 0..planes.count() {
+        let mut y = 0;
+        for i in rows {
+            strip.resize(of_strip(i) * width, 0.0);
+            planes.read_run(plane, 4 * i * width, &mut strip)?;
+            part.write_run(plane, y * width, &strip)?;
+            y += of_strip(i);
+        }
+    }
+    Ok((part, low))
 }
+
+/// Planes that are held for a while beside those that are encoded and decoded: of two candidates, before and after.
+pub(crate) const BESIDE: usize = 16;
 
 /// What `codecs` can be encoded with: each alone, or all of them, for each texture that which takes off more.
 pub(crate) fn choices(codecs: &[Codec]) -> Vec<Vec<Codec>> {
@@ -195,7 +273,7 @@ pub(crate) fn choices(codecs: &[Codec]) -> Vec<Vec<Codec>> {
 
 /// Which of [`choices`] leaves least of an even choice of rows of blocks.
 pub(crate) fn best_codecs(
-    planes: &[f32],
+    planes: &Planes,
     size: (usize, usize),
     codecs: &[Codec],
     count: usize,
@@ -205,11 +283,11 @@ pub(crate) fn best_codecs(
         return Ok(codecs.to_vec());
     }
     let rows: Vec<usize> = (0..size.1.div_ceil(4)).step_by((size.0 * size.1).div_ceil(ENOUGH)).collect();
-    let (part, height) = strips(planes, size, &rows);
     let mut found = (f64::NEG_INFINITY, codecs.to_vec());
     for choice in choices(codecs) {
+        let (part, height) = strips(planes, size, &rows, planes_of(&choice, count))?;
         let plan = Plan { count, residual: 0, closed_loop, tiles: None };
-        let layers = encode(part.clone(), (size.0, height), &choice, &plan, &mut |_| ())?;
+        let layers = encode(part, (size.0, height), &choice, &plan, &mut |_| Ok(()))?;
         let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
         if kept > found.0 {
             found = (kept, choice);
@@ -221,7 +299,7 @@ pub(crate) fn best_codecs(
 /// What each tile would leave after 0, 1, … `count` layers, from a part of its rows of blocks with some `enough` texels: by
 /// layers, then tile.
 pub(crate) fn left_in_tiles(
-    planes: &[f32],
+    planes: &Planes,
     size: (usize, usize),
     codecs: &[Codec],
     count: usize,
@@ -233,11 +311,21 @@ pub(crate) fn left_in_tiles(
     // The last tiles may be low: each begins with a row that counts.
     let rows: Vec<usize> = (0..size.1.div_ceil(4)).filter(|i| (i % per_tile).is_multiple_of(every)).collect();
     let tile_row: Vec<usize> = rows.iter().flat_map(|i| vec![i / per_tile; (4 * i + 4).min(size.1) - 4 * i]).collect();
-    let (part, height) = strips(planes, size, &rows);
+    let (part, height) = strips(planes, size, &rows, planes_of(codecs, count))?;
+    // Rows of tiles are whole in each band, and as high but for the last.
+    let of_tile = tile_row.iter().filter(|t| **t == 0).count();
     let mut left = Vec::new();
     let plan = Plan { count, residual: 0, closed_loop: true, tiles: None };
     encode(part, (size.0, height), codecs, &plan, &mut |planes| {
-        left.push(tiles::energies(planes, (size.0, height), grid, &tile_row));
+        let (mut sums, mut buffer) = (vec![0.0; grid.0 * grid.1], Vec::new());
+        for band in planes.bands(of_tile * size.0, planes.count()) {
+            let values = planes.read(0..planes.count(), band.clone(), &mut buffer)?;
+            let (above, rows) = (band.start / size.0, band.len() / size.0);
+            let part = tiles::energies(values, (size.0, rows), grid, &tile_row[above..above + rows]);
+            sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+        }
+        left.push(sums);
+        Ok(())
     })?;
     Ok(left)
 }
@@ -249,30 +337,61 @@ struct Gram {
 }
 
 impl Gram {
-    fn of(planes: &[f32], pixels: usize) -> Self {
-        let n = planes.len() / pixels;
-        let starts: Vec<usize> = (0..pixels).step_by(CHUNK).collect();
-        let parts: Vec<DMatrix<f64>> = starts
-            .par_iter()
-            .map(|&start| {
-                let rows = CHUNK.min(pixels - start);
-                let columns = view(&planes[start..], rows, n, pixels);
+    fn of(planes: &Planes) -> Result<Self> {
+        let n = planes.count();
+        let (mut products, mut sums, mut buffer) = (DMatrix::zeros(n, n), vec![0.0; n], Vec::new());
+        for band in planes.bands(CHUNK, n) {
+            let (values, length) = (planes.read(0..n, band.clone(), &mut buffer)?, band.len());
+            let starts: Vec<usize> = (0..length).step_by(CHUNK).collect();
+            let product = |start: &usize| {
+                let rows = CHUNK.min(length - start);
+                let columns = view(&values[*start..], rows, n, length);
                 let mut out = DMatrix::<f32>::zeros(n, n);
-                add_product(&mut out, &transposed(&planes[start..], rows, n, pixels), &columns);
+                add_product(&mut out, &transposed(&values[*start..], rows, n, length), &columns);
                 out.map(f64::from)
-            })
-            .collect();
-        let products = parts.iter().fold(DMatrix::zeros(n, n), |sum, p| sum + p);
-        let sums =
-            planes.chunks(pixels).map(|p| p.par_chunks(CHUNK).map(sum).collect::<Vec<_>>().iter().sum()).collect();
-        Self { products, sums }
+            };
+            // Rounds bound the memory of partial products.
+            for round in starts.chunks(256) {
+                round.par_iter().map(product).collect::<Vec<_>>().iter().for_each(|p| products += p);
+            }
+            for (total, plane) in sums.iter_mut().zip(values.chunks(length)) {
+                plane.par_chunks(CHUNK).map(sum).collect::<Vec<_>>().iter().for_each(|s| *total += s);
+            }
+        }
+        Ok(Self { products, sums })
     }
 }
 
-/// Products of planes with each other in the tiles that have `number` layers and no more.
-fn products_in_tiles(planes: &[f32], (width, height): (usize, usize), tiles: &Tiles, number: usize) -> DMatrix<f64> {
+/// Sets the planes to 0 in the tiles that have `number` layers and no more; their products with each other there.
+fn leave_tiles(left: &mut Planes, size: (usize, usize), tiles: &Tiles, number: usize) -> Result<DMatrix<f64>> {
+    let n = left.count();
+    let (mut sum, mut buffer) = (DMatrix::zeros(n, n), Vec::new());
+    if !tiles.counts.iter().any(|c| usize::from(*c) == number) {
+        return Ok(sum);
+    }
+    for band in left.bands(tiles::SIDE * size.0, n) {
+        let (above, rows) = (band.start / size.0, band.len() / size.0);
+        left.edit(band, &mut buffer, |values| {
+            add_products_in_tiles(&mut sum, values, (size.0, rows), (tiles, above / tiles::SIDE), number);
+            values.par_chunks_mut(rows * size.0).for_each(|plane| tiles.clear(number, plane, size.0, above));
+            Ok(())
+        })?;
+    }
+    Ok(sum)
+}
+
+/// Products of planes with each other in the tiles, from a row of them on, that have `number` layers and no more.
+fn add_products_in_tiles(
+    sum: &mut DMatrix<f64>,
+    planes: &[f32],
+    (width, height): (usize, usize),
+    (tiles, above): (&Tiles, usize),
+    number: usize,
+) {
     let (pixels, n) = (width * height, planes.len() / (width * height));
-    let own: Vec<usize> = (0..tiles.counts.len()).filter(|t| usize::from(tiles.counts[*t]) == number).collect();
+    let here = 0..height.div_ceil(tiles::SIDE) * tiles.across;
+    let count = |t: usize| usize::from(tiles.counts[above * tiles.across + t]);
+    let own: Vec<usize> = here.filter(|t| count(*t) == number).collect();
     let of_tile = |t: &usize| {
         let (x, y) = (t % tiles.across * tiles::SIDE, t / tiles.across * tiles::SIDE);
         let columns = tiles::SIDE.min(width - x);
@@ -283,20 +402,36 @@ fn products_in_tiles(planes: &[f32], (width, height): (usize, usize), tiles: &Ti
         }
         out.map(f64::from)
     };
-    let mut sum = DMatrix::zeros(n, n);
     // Rounds bound the memory of partial sums.
     for round in own.chunks(64) {
-        round.par_iter().map(of_tile).collect::<Vec<_>>().iter().for_each(|p| sum += p);
+        round.par_iter().map(of_tile).collect::<Vec<_>>().iter().for_each(|p| *sum += p);
     }
-    sum
 }
 
 fn sum(values: &[f32]) -> f64 {
     values.iter().map(|v| f64::from(*v)).sum()
 }
 
-/// Product of two planes: in eight lanes of f32 over 256 values, in f64 over those and over chunks in order.
-fn dot(a: &[f32], b: &[f32]) -> f64 {
+/// Adds the products of planes `a` with planes `b`, of `n` texels each.
+fn add_dots(sums: &mut DMatrix<f64>, n: usize, a: &[f32], b: &[f32]) {
+    for (i, a) in a.chunks(n).enumerate() {
+        b.chunks(n).enumerate().for_each(|(j, b)| add_dot(&mut sums[(i, j)], a, b));
+    }
+}
+
+/// Products of planes with planes.
+fn dots(a: &Planes, b: &Planes) -> Result<DMatrix<f64>> {
+    let mut sums = DMatrix::zeros(a.count(), b.count());
+    let (mut of_a, mut of_b) = (Vec::new(), Vec::new());
+    for band in a.bands(CHUNK, a.count() + b.count()).into_iter().filter(|_| b.count() > 0) {
+        let a = a.read(0..a.count(), band.clone(), &mut of_a)?;
+        add_dots(&mut sums, band.len(), a, b.read(0..b.count(), band, &mut of_b)?);
+    }
+    Ok(sums)
+}
+
+/// Adds the product of two planes: in eight lanes of f32 over 256 values, in f64 over those and over chunks in order.
+fn add_dot(sum: &mut f64, a: &[f32], b: &[f32]) {
     let short = |a: &[f32], b: &[f32]| {
         let mut lanes = [0.0f32; 8];
         let (a8, b8) = (a.as_chunks::<8>(), b.as_chunks::<8>());
@@ -305,7 +440,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     };
     let part = |(a, b): (&[f32], &[f32])| -> f64 { a.chunks(256).zip(b.chunks(256)).map(|(a, b)| short(a, b)).sum() };
     let parts: Vec<f64> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(part).collect();
-    parts.iter().sum()
+    parts.iter().for_each(|p| *sum += p);
 }
 
 /// The planes' sum with weights.
@@ -319,11 +454,24 @@ fn combine(planes: &[f32], pixels: usize, weights: &[f32]) -> Vec<f32> {
     out
 }
 
-fn subtract(planes: &mut [f32], pixels: usize, layer: &[f32], weights: &[f64]) {
-    planes.par_chunks_mut(pixels).zip(weights).for_each(|(plane, w)| {
-        let w = *w as f32;
-        plane.iter_mut().zip(layer).for_each(|(p, l)| *p -= w * l);
-    });
+/// Takes `layers`, times their weights by plane, off the planes.
+fn subtract(left: &mut Planes, layers: &Planes, weights: &[Vec<f64>]) -> Result<()> {
+    let n = layers.count();
+    let (mut buffer, mut own) = (Vec::new(), Vec::new());
+    for band in left.bands(CHUNK, left.count() + n) {
+        let layers = layers.read(0..n, band.clone(), &mut own)?;
+        let length = band.len();
+        left.edit(band, &mut buffer, |values| {
+            for (layer, weights) in layers.chunks(length).zip(weights) {
+                values.par_chunks_mut(length).zip(weights).for_each(|(plane, w)| {
+                    let w = *w as f32;
+                    plane.iter_mut().zip(layer).for_each(|(p, l)| *p -= w * l);
+                });
+            }
+            Ok(())
+        })?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -353,11 +501,15 @@ mod tests {
                 })
             })
             .collect();
-        let left = left_in_tiles(&planes, size, &[Codec::Bc1], 8, ENOUGH_FOR_TILES).unwrap();
+        let left =
+            left_in_tiles(&Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], 8, ENOUGH_FOR_TILES)
+                .unwrap();
         assert!(left[0][2] == 0.0 && left[0][1] > left[4][1] && left[4][1] > left[8][1]);
         let error = |tiles: Option<&Tiles>, count: usize| {
             let plan = Plan { count, residual: 0, closed_loop: true, tiles };
-            let layers = encode(planes.clone(), size, &[Codec::Bc1], &plan, &mut |_| ()).unwrap();
+            let layers =
+                encode(Planes::of(size.0 * size.1, planes.clone()), size, &[Codec::Bc1], &plan, &mut |_| Ok(()))
+                    .unwrap();
             let total: f64 = planes.iter().map(|v| f64::from(v * v)).sum::<f64>() / (size.0 * size.1) as f64;
             total - (layers.weights.transpose() * &layers.products * &layers.weights).trace()
         };
@@ -380,7 +532,14 @@ mod tests {
             .flat_map(|w| a.iter().zip(&b).map(move |(a, b)| 3.0 + w * a + (1.0 - w) * b))
             .collect();
         let left = |count: usize| {
-            let layers = encode(planes.clone(), size, &[Codec::Bc4], &whole(count), &mut |_| ()).unwrap();
+            let layers = encode(
+                Planes::of(size.0 * size.1, planes.clone()),
+                size,
+                &[Codec::Bc4],
+                &whole(count),
+                &mut |_| Ok(()),
+            )
+            .unwrap();
             let values: Vec<Vec<f32>> =
                 layers.textures.iter().map(|t| t.values(size.0, size.1).unwrap().swap_remove(0)).collect();
             let mut sum = 0.0;
@@ -408,7 +567,8 @@ mod tests {
         let texels: Vec<f32> =
             (0..9).flat_map(|k| (0..pixels).map(move |i| if k == 0 { 10.0 } else { 1.0 } * wave(k, i))).collect();
         let left = |codecs: &[Codec]| {
-            let layers = encode(texels.clone(), size, codecs, &whole(4), &mut |_| ()).unwrap();
+            let layers =
+                encode(Planes::of(size.0 * size.1, texels.clone()), size, codecs, &whole(4), &mut |_| Ok(())).unwrap();
             let n = layers.products.nrows();
             let total: f64 = texels.iter().map(|v| f64::from(v * v)).sum::<f64>() / pixels as f64;
             let kept = (layers.weights.transpose() * &layers.products * &layers.weights).trace();
@@ -417,7 +577,10 @@ mod tests {
         let (single, singles, _) = left(&[Codec::Bc4]);
         let (mixed, planes, codecs) = left(&[Codec::Bc4, Codec::Bc1]);
         assert_eq!(singles, 4);
-        assert_eq!(best_codecs(&texels, size, &[Codec::Bc4, Codec::Bc1], 4, true).unwrap().last(), Some(&Codec::Bc1));
+        assert_eq!(
+            best_codecs(&Planes::of(pixels, texels.clone()), size, &[Codec::Bc4, Codec::Bc1], 4, true).unwrap().last(),
+            Some(&Codec::Bc1)
+        );
         assert!(planes > 4 && mixed < 0.8 * single, "{mixed} against {single}: {codecs:?}");
     }
 
@@ -426,7 +589,49 @@ mod tests {
         let size = (64, 64);
         let wave = |k: usize, i: usize| (0.05 * ((k + 2) * (i % 64) + (3 * k + 1) * (i / 64)) as f32 + k as f32).sin();
         let planes: Vec<f32> = (0..3).flat_map(|k| (0..64 * 64).map(move |i| wave(k, i))).collect();
-        let codecs = best_codecs(&planes, size, &[Codec::Bc4, Codec::Bc1], 8, true).unwrap();
+        let codecs = best_codecs(&Planes::of(64 * 64, planes), size, &[Codec::Bc4, Codec::Bc1], 8, true).unwrap();
         assert!(codecs.contains(&Codec::Bc4), "{codecs:?}");
+    }
+
+    /// Where planes are kept does not change a bit of what becomes of them.
+    #[test]
+    fn planes_in_files_are_encoded_as_those_in_memory() {
+        // Bands of 8192 texels and of 32 rows end at different places; the last are short.
+        let size = (212, 171);
+        let pixels = size.0 * size.1;
+        let wave = |k: usize, i: usize| {
+            let (x, y) = (i % size.0, i / size.0);
+            // A quarter is black.
+            let lit = if x < 64 && y < 96 { 0.0 } else { 1.0 };
+            lit * (0.04 * ((k + 2) * x + (3 * k + 1) * y) as f32 + k as f32).sin() * 3.0 / (k + 1) as f32
+        };
+        let values: Vec<f32> = (0..7).flat_map(|k| (0..pixels).map(move |i| wave(k, i))).collect();
+        let dir = tempfile::tempdir().unwrap();
+        let planes = |bytes: usize| {
+            let room = crate::planes::Room::new(bytes, dir.path().to_owned());
+            let mut planes = room.planes(pixels, 1).unwrap();
+            planes.grow(7).unwrap();
+            values.chunks(pixels).enumerate().for_each(|(k, v)| planes.write_run(k, 0, v).unwrap());
+            planes
+        };
+        let (memory, file) = (|| planes(usize::MAX), || planes(1 << 17));
+        assert!(memory().in_memory() && !file().in_memory() && file().bands(CHUNK, 1).len() > 1);
+        let codecs = [Codec::Bc4, Codec::Bc1];
+        let left = |p: &Planes| left_in_tiles(p, size, &codecs, 5, 1 << 12).unwrap();
+        let left = (left(&memory()), left(&file()));
+        assert_eq!(left.0, left.1);
+        let best = |p: &Planes| best_codecs(p, size, &codecs, 3, true).unwrap();
+        assert_eq!(best(&memory()), best(&file()));
+        let tiles = Tiles { across: 7, counts: tiles::choose(&left.0, 100) };
+        assert!(tiles.counts.contains(&0) && tiles.most() > 2);
+        for (count, residual, closed_loop, tiles) in
+            [(3, 1, true, None), (2, 0, false, None), (tiles.most(), 0, true, Some(&tiles))]
+        {
+            let plan = Plan { count, residual, closed_loop, tiles };
+            let made = |planes: Planes| encode(planes, size, &codecs, &plan, &mut |_| Ok(())).unwrap();
+            let (a, b) = (made(memory()), made(file()));
+            assert_eq!(a.textures, b.textures);
+            assert!(a.textures.len() > 1 && a.weights == b.weights && a.products == b.products);
+        }
     }
 }

@@ -5,6 +5,7 @@
 //! in order: results do not depend on the number of threads.
 
 use crate::measure::shown;
+use crate::planes::Planes;
 use crate::stack::Stack;
 use crate::{Domain, Error, Result};
 use half::f16;
@@ -161,8 +162,10 @@ impl Matrix {
             part.map(f64::from)
         };
         let mut total = DMatrix::zeros(shape.0, shape.1);
-        // Rounds of a few groups bound the memory of partial sums.
-        for round in picked.chunks(GROUP * 16) {
+        // Rounds of a few groups bound the memory of partial sums, of which each is held in f32 and in f64.
+        const MOST: usize = 64 << 20;
+        let groups = (MOST / (12 * shape.0 * shape.1).max(1)).clamp(2, 16);
+        for round in picked.chunks(GROUP * groups) {
             let parts: Vec<DMatrix<f64>> = round.par_chunks(GROUP).map(partial).collect();
             parts.iter().for_each(|p| total += p);
         }
@@ -213,43 +216,45 @@ impl Matrix {
         sum / (3 * self.texels) as f64
     }
 
-    /// Every pixel's row times `projection` (columns × outputs), less `offset`: planes of all pixels, by output. Reads the
-    /// stack once more when not all texels are held.
+    /// Every pixel's row times `projection` (columns × outputs), less `offset`: planes of all pixels, by output, in `planes`, which are
+    /// none yet. Reads the stack once more when not all texels are held.
     ///
     /// # Errors
-    /// Of reading.
-    pub fn project(
+    /// Of reading, and of files for planes.
+    pub(crate) fn project(
         &self,
         stack: &mut Stack,
         domain: Domain,
         projection: &DMatrix<f32>,
         offset: &[f32],
+        planes: &mut Planes,
         progress: &(dyn Fn() + Sync),
-    ) -> Result<Vec<f32>> {
+    ) -> Result<()> {
         let outputs = projection.ncols();
-        let mut planes = vec![0.0f32; outputs * self.pixels];
+        planes.grow(outputs)?;
+        let mut buffer = Vec::new();
         if self.is_whole() {
-            let shares = pieces_of(&mut planes, self.pixels, outputs);
-            shares.into_par_iter().enumerate().for_each_init(Vec::new, |values, (i, mut share)| {
-                self.load(i, values);
-                let n = share[0].len();
-                let mut out = DMatrix::zeros(n, outputs);
-                add_product(&mut out, &view(values, n, 3 * self.lights, PIECE), &whole(projection));
-                for (o, plane) in share.iter_mut().enumerate() {
-                    plane.iter_mut().zip(out.column(o).iter()).for_each(|(p, v)| *p = v - offset[o]);
-                }
-            });
-            return Ok(planes);
-        }
-        for (plane, o) in planes.chunks_mut(self.pixels).zip(offset) {
-            plane.fill(-o);
+            for band in planes.bands(PIECE, outputs) {
+                planes.edit(band.clone(), &mut buffer, |planes| {
+                    let shares = pieces_of(planes, band.len(), outputs);
+                    shares.into_par_iter().enumerate().for_each_init(Vec::new, |values, (i, mut share)| {
+                        self.load(band.start / PIECE + i, values);
+                        let n = share[0].len();
+                        let mut out = DMatrix::zeros(n, outputs);
+                        add_product(&mut out, &view(values, n, 3 * self.lights, PIECE), &whole(projection));
+                        for (o, plane) in share.iter_mut().enumerate() {
+                            plane.iter_mut().zip(out.column(o).iter()).for_each(|(p, v)| *p = v - offset[o]);
+                        }
+                    });
+                    Ok(())
+                })?;
+            }
+            return Ok(());
         }
         // Pictures in order, each spread over the threads by pieces: the sums are the same for any number of threads.
-        for i in 0..self.lights {
-            let mut rgb = stack.read(i)?;
-            rgb.par_chunks_mut(1 << 14).for_each(|v| domain.values(v));
-            let weights = projection.rows(3 * i, 3).into_owned();
-            let shares = pieces_of(&mut planes, self.pixels, outputs);
+        let add = |planes: &mut [f32], rgb: &[f32], light: usize| {
+            let weights = projection.rows(3 * light, 3).into_owned();
+            let shares = pieces_of(planes, planes.len() / outputs, outputs);
             shares.into_par_iter().zip(rgb.par_chunks(3 * PIECE)).for_each(|(mut share, rgb)| {
                 for (o, plane) in share.iter_mut().enumerate() {
                     let w = [weights[(0, o)], weights[(1, o)], weights[(2, o)]];
@@ -258,9 +263,39 @@ impl Matrix {
                     }
                 }
             });
+        };
+        let begin = |planes: &mut [f32]| {
+            let n = planes.len() / outputs;
+            planes.chunks_mut(n).zip(offset).for_each(|(plane, o)| plane.fill(-o));
+        };
+        let read = |i: usize| {
+            let mut rgb = stack.read(i)?;
+            rgb.par_chunks_mut(1 << 14).for_each(|v| domain.values(v));
             progress();
+            Ok::<_, Error>(rgb)
+        };
+        if planes.in_memory() {
+            return planes.edit(0..self.pixels, &mut buffer, |planes| {
+                begin(planes);
+                (0..self.lights).try_for_each(|i| read(i).map(|rgb| add(planes, &rgb, i)))
+            });
         }
-        Ok(planes)
+        // Each band of the planes takes that of all pictures: those go to a file first.
+        let mut pictures = planes.room().planes(3 * self.pixels, usize::MAX)?;
+        pictures.grow(self.lights)?;
+        for i in 0..self.lights {
+            pictures.write_run(i, 0, &read(i)?)?;
+        }
+        let mut rgb = Vec::new();
+        for band in planes.bands(PIECE, outputs + 3) {
+            let own = 3 * band.start..3 * band.end;
+            planes.edit(band, &mut buffer, |planes| {
+                begin(planes);
+                (0..self.lights)
+                    .try_for_each(|i| pictures.read(i..i + 1, own.clone(), &mut rgb).map(|rgb| add(planes, rgb, i)))
+            })?;
+        }
+        Ok(())
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a program sees that knows glTF and not our extension: a rectangle with the field lit from the upper left.
 
 use crate::Relighter;
-use crate::field::Field;
+use crate::field::{Angular, Field};
 use crate::lights::normalised;
 use serde_json::{Map, Value, json};
 use translume_image::{colour, encode_jpeg};
@@ -14,25 +14,32 @@ const FROM: [f32; 3] = [-0.45, 0.45, 0.77];
 /// The picture as JPEG: under the stack's light that is nearest to [`FROM`], box-filtered down to [`EDGE`]. `None` for a field that
 /// cannot be lit.
 fn picture(field: &Field) -> Option<Vec<u8>> {
-    let relighter = Relighter::new(field).ok()?;
     let from = normalised(FROM)?;
     let along = |l: &[f32; 3]| (0..3).map(|c| l[c] * from[c]).sum::<f32>();
     let nearest =
         (0..field.lights().len()).max_by(|a, b| along(&field.lights()[*a]).total_cmp(&along(&field.lights()[*b])));
-    let mix = nearest.and_then(|i| field.mix_of_light(i)).unwrap_or_else(|| relighter.mix(from));
-    let light = relighter.picture(&mix);
+    let mix = match &field.angular {
+        Angular::Basis(basis) => field.mix(&basis.at(from)),
+        Angular::Lights { .. } => field.mix_of_light(nearest?)?,
+    };
     let (w, h) = (field.width, field.height);
     let step = w.max(h).div_ceil(EDGE);
     let size = (w.div_ceil(step), h.div_ceil(step));
-    let mut rgb = Vec::with_capacity(3 * size.0 * size.1);
-    for (x, y) in (0..size.0 * size.1).map(|i| (i % size.0 * step, i / size.0 * step)) {
-        for c in 0..3 {
-            let row = |y: usize| (x..(x + step).min(w)).map(move |x| 3 * (y * w + x) + c);
-            let (sum, n) = (y..(y + step).min(h)).flat_map(row).fold((0.0, 0), |(s, n), i| (s + light[i], n + 1));
-            let code = colour::linear_to_srgb((sum / (n as f32 * field.white)).clamp(0.0, 1.0));
-            rgb.push((255.0 * code + 0.5) as u8);
+    let mut sums = vec![([0.0f32; 3], 0); size.0 * size.1];
+    let add = &mut |above: usize, light: &[f32]| {
+        for (y, row) in light.chunks(3 * w).enumerate() {
+            let sums = &mut sums[(above + y) / step * size.0..][..size.0];
+            for (run, (sum, n)) in row.chunks(3 * step).zip(sums) {
+                for texel in run.as_chunks::<3>().0 {
+                    (0..3).for_each(|c| sum[c] += texel[c]);
+                    *n += 1;
+                }
+            }
         }
-    }
+    };
+    Relighter::by_rows(field, &mix, add).ok()?;
+    let code = |sum: f32, n: i32| colour::linear_to_srgb((sum / (n as f32 * field.white)).clamp(0.0, 1.0));
+    let rgb: Vec<u8> = sums.iter().flat_map(|(sum, n)| sum.map(|s| (255.0 * code(s, *n) + 0.5) as u8)).collect();
     encode_jpeg(size, &rgb, QUALITY).ok()
 }
 

@@ -8,6 +8,7 @@ use crate::lights::Shot;
 use crate::lines::{Factors, GROUP, Lines, Steps, TEXELS, Tile, last_code};
 use crate::sphere::{Interpolation, points};
 use crate::texture::Texture;
+use crate::tiles::SIDE;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -60,6 +61,9 @@ impl Put<[u8; 4]> for Display {
     }
 }
 
+/// Texels that are decoded at a time where a picture is handed out by rows.
+const ROWS_OF: usize = 1 << 19;
+
 /// Rows of texels that one task lights: whole blocks.
 const BAND: usize = 8;
 
@@ -69,23 +73,29 @@ impl<'a> Relighter<'a> {
     /// # Errors
     /// [`Error::Parameter`] when textures and weights do not fit each other.
     pub fn new(field: &'a Field) -> Result<Self> {
+        let mut relighter = Self::without_directions(field)?;
+        if let Angular::Lights { lights, views, table, kernel, .. } = &field.angular {
+            relighter.interpolation = Some(Interpolation::new(*kernel, &points(lights, views), table, field.domain));
+        }
+        Ok(relighter)
+    }
+
+    /// The same for mixes that are known: with many lights, most of the work is what is between them.
+    pub(crate) fn without_directions(field: &'a Field) -> Result<Self> {
         let odd = !field.in_colour() && field.layers.iter().any(|l| l.codec.channels() != 3);
-        let interpolation = match &field.angular {
-            Angular::Lights { colour, lights, views, table, kernel } => {
+        match &field.angular {
+            Angular::Lights { colour, lights, views, table, .. } => {
                 let columns = if *colour { 3 + 3 * field.planes() } else { field.layers.len() };
                 let seen = views.is_empty() || views.len() == lights.len();
                 if odd || !seen || table.shape() != (lights.len(), columns) || lights.is_empty() {
                     return Err(Error::Parameter("the weights do not fit the layers".into()));
                 }
-                Some(Interpolation::new(*kernel, &points(lights, views), table, field.domain))
             }
-            Angular::Basis(basis) => {
-                if odd || basis.terms() != field.layers.len() {
-                    return Err(Error::Parameter(format!("{} layers for {basis:?}", field.layers.len())));
-                }
-                None
+            Angular::Basis(basis) if odd || basis.terms() != field.layers.len() => {
+                return Err(Error::Parameter(format!("{} layers for {basis:?}", field.layers.len())));
             }
-        };
+            Angular::Basis(_) => (),
+        }
         let store = match Lines::new(&field.layers, field.tiles.as_ref(), field.width, field.height) {
             Some(lines) => Store::Lines(lines),
             None if field.tiles.is_some() => {
@@ -96,7 +106,18 @@ impl<'a> Relighter<'a> {
                 Store::Planes(planes?.into_iter().flatten().collect())
             }
         };
-        Ok(Self { field, store, interpolation })
+        Ok(Self { field, store, interpolation: None })
+    }
+
+    /// Hands out the picture of one light from the top down, some rows at a time, with the number of the first: for large fields, of which a
+    /// part at a time is decoded.
+    pub(crate) fn by_rows(field: &Field, mix: &Mix, put: &mut dyn FnMut(usize, &[f32])) -> Result<()> {
+        let rows = (ROWS_OF / field.width.max(1)).next_multiple_of(SIDE).max(SIDE);
+        for start in (0..field.height).step_by(rows) {
+            let part = field.rows(start..(start + rows).min(field.height));
+            put(start, &Relighter::without_directions(&part)?.picture(mix));
+        }
+        Ok(())
     }
 
     /// The weights for a unit direction to the light, seen along the normal where the field has several views.

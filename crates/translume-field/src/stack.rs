@@ -45,8 +45,8 @@ pub struct Stack {
     pub reading: usize,
 }
 
-/// Bytes a pixel while a picture is read: the result, and what it is made of.
-const PER_PIXEL: usize = 28;
+/// Bytes a pixel while a picture is read: the result, and what it is made of: codes, or floats and their file.
+const PER_PIXEL: (usize, usize) = (24, 28);
 
 /// Counts of samples that had to be changed.
 #[derive(Debug, Default)]
@@ -124,9 +124,16 @@ impl Stack {
         self.width * self.height
     }
 
+    /// Bytes of memory that reading one picture takes.
+    pub(crate) fn bytes_to_read(&self) -> usize {
+        let codes = |s: &Shot| matches!(Format::of_file(&s.path), Ok(Format::Png | Format::Jpeg | Format::Tga));
+        let each = if self.shots.first().is_some_and(codes) { PER_PIXEL.0 } else { PER_PIXEL.1 };
+        each * self.pixels()
+    }
+
     /// How many pictures are read at the same time; all, where there is room for as many as there are threads.
     fn at_once(&self) -> usize {
-        let room = (self.reading / (PER_PIXEL * self.pixels()).max(1)).max(1);
+        let room = (self.reading / self.bytes_to_read().max(1)).max(1);
         if room < rayon::current_num_threads() { room } else { self.shots.len().max(1) }
     }
 

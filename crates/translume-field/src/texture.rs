@@ -77,31 +77,22 @@ impl Texture {
     /// # Errors
     /// [`Error::Parameter`] when the number of planes is not the codec's.
     pub fn encode(codec: Codec, planes: &[&[f32]], width: usize) -> Result<Self> {
-        Self::encode_where(codec, planes, width, &|_, _| true)
+        let mut ends = Ends::default();
+        ends.see(planes);
+        Self::encode_in(codec, planes, width, ends.range(planes.len()), &|_, _| true)
     }
 
-    /// The same; of block codecs only the blocks (x, y) that are to be kept: the others are 0.
-    pub(crate) fn encode_where(
+    /// The same in given ranges; of block codecs only the blocks (x, y) that are to be kept: the others are 0.
+    pub(crate) fn encode_in(
         codec: Codec,
         planes: &[&[f32]],
         width: usize,
+        (low, high): ([f32; 3], [f32; 3]),
         keep: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> Result<Self> {
         if planes.len() != codec.channels() {
             let what = format!("{} planes for {codec:?}, which has {} channels", planes.len(), codec.channels());
             return Err(Error::Parameter(what));
-        }
-        let (mut low, mut high) = ([0.0; 3], [1.0; 3]);
-        for (c, plane) in planes.iter().enumerate() {
-            let range = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
-            let whole = plane
-                .par_chunks(1 << 14)
-                .map(|p| p.iter().map(|v| (*v, *v)).fold(EMPTY, range))
-                .reduce(|| EMPTY, range);
-            (low[c], high[c]) = if whole.1 > whole.0 { whole } else { (whole.0, whole.0 + 1.0) };
-        }
-        for c in planes.len()..3 {
-            (low[c], high[c]) = (low[0], high[0]);
         }
         let height = planes[0].len() / width;
         let unit = |c: usize, i: usize| (planes[c][i] - low[c]) / (high[c] - low[c]);
@@ -211,6 +202,36 @@ impl Texture {
             }
         }
         out
+    }
+}
+
+/// The least and the most of each channel.
+pub(crate) struct Ends([(f32, f32); 3]);
+
+impl Default for Ends {
+    fn default() -> Self {
+        Self([EMPTY; 3])
+    }
+}
+
+impl Ends {
+    /// Looks at more values of each channel.
+    pub(crate) fn see(&mut self, planes: &[&[f32]]) {
+        let range = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
+        for (ends, plane) in self.0.iter_mut().zip(planes) {
+            let parts = plane.par_chunks(1 << 14).map(|p| p.iter().map(|v| (*v, *v)).fold(EMPTY, range));
+            *ends = range(*ends, parts.reduce(|| EMPTY, range));
+        }
+    }
+
+    /// What 0 and 1 stand for, of `channels` that were seen.
+    pub(crate) fn range(&self, channels: usize) -> ([f32; 3], [f32; 3]) {
+        let end = |c: usize| {
+            let (low, high) = self.0[if c < channels { c } else { 0 }];
+            if high > low { (low, high) } else { (low, low + 1.0) }
+        };
+        let ends = [0, 1, 2].map(end);
+        (ends.map(|e| e.0), ends.map(|e| e.1))
     }
 }
 

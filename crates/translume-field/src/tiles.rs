@@ -63,32 +63,41 @@ impl Tiles {
         stored.map(|c| c.bytes(SIDE, SIDE)).sum::<usize>() + self.counts.len()
     }
 
-    /// Sets `plane`, of `width` texels in a row, to 0 where tiles have no layer `layer`.
-    pub(crate) fn clear(&self, layer: usize, plane: &mut [f32], width: usize) {
+    /// Sets `plane`, of `width` texels in a row, of which the first is row `above` of the picture, to 0 where tiles have no layer
+    /// `layer`.
+    pub(crate) fn clear(&self, layer: usize, plane: &mut [f32], width: usize, above: usize) {
         for (y, row) in plane.chunks_mut(width).enumerate() {
             for (x, part) in row.chunks_mut(SIDE).enumerate() {
-                if self.layers_at(x * BLOCKS, y / 4) <= layer {
+                if self.layers_at(x * BLOCKS, (above + y) / 4) <= layer {
                     part.fill(0.0);
                 }
             }
         }
     }
 
-    /// The stored blocks (8 bytes each) of the layers `data` (their numbers, and blocks of the whole picture, `blocks` in a row),
-    /// tile by tile, in each tile layer by layer, as textures of [`atlas`] size.
-    pub(crate) fn pack(&self, data: &[(usize, &[u8])], blocks: usize) -> ((usize, usize), Vec<Vec<u8>>) {
-        let ((w, h), parts) = self.atlas(data.iter().map(|d| d.0));
-        let mut out = vec![vec![0u8; w * h / 2]; parts];
-        self.each_block(
-            data.iter().map(|d| d.0),
-            blocks,
-            data.first().map_or(0, |d| d.1.len() / 8),
-            (w, h),
-            |which, from, part, to| {
-                out[part][8 * to..8 * to + 8].copy_from_slice(&data[which].1[8 * from..8 * from + 8]);
-            },
-        );
-        ((w, h), out)
+    /// Hands out the stored blocks (8 bytes each) of the layers `data` (their numbers, and blocks of the whole picture, `blocks` in a
+    /// row), tile by tile, in each tile layer by layer, as textures of [`Tiles::atlas`] size.
+    pub(crate) fn pack(
+        &self,
+        data: &[(usize, &[u8])],
+        blocks: usize,
+        put: &mut dyn FnMut(&[u8]) -> std::io::Result<()>,
+    ) -> std::io::Result<()> {
+        let (size, parts) = self.atlas(data.iter().map(|d| d.0));
+        let total = data.first().map_or(0, |d| d.1.len() / 8);
+        // Blocks come texture after texture.
+        let (mut out, mut current, mut result) = (vec![0u8; size.0 * size.1 / 2], 0, Ok(()));
+        self.each_block(data.iter().map(|d| d.0), blocks, total, size, |which, from, part, to| {
+            if part > current && result.is_ok() {
+                result = put(&out);
+                out.fill(0);
+                current = part;
+            }
+            out[8 * to..8 * to + 8].copy_from_slice(&data[which].1[8 * from..8 * from + 8]);
+        });
+        result?;
+        debug_assert_eq!(current + 1, parts);
+        put(&out)
     }
 
     /// The reverse of [`Tiles::pack`]: blocks of the whole picture by layer, 0 where a tile has no such layer. `None` when the
@@ -112,7 +121,7 @@ impl Tiles {
     }
 
     /// Width, height and number of the textures that the tiles of these layers fill.
-    fn atlas(&self, layers: impl Iterator<Item = usize> + Clone) -> ((usize, usize), usize) {
+    pub(crate) fn atlas(&self, layers: impl Iterator<Item = usize> + Clone) -> ((usize, usize), usize) {
         let stored = |c: &u8| layers.clone().filter(|l| *l < usize::from(*c)).count();
         let n = self.counts.iter().map(stored).sum::<usize>().max(1);
         let parts = n.div_ceil(MOST * MOST);
@@ -217,7 +226,12 @@ mod tests {
         let tiles = Tiles { across: 3, counts: vec![2, 0, 3, 1, 2, 3] };
         let layer = |j: usize| -> Vec<u8> { (0..blocks * rows * 8).map(|i| (i * 7 + j * 31) as u8 | 1).collect() };
         let data = [layer(0), layer(2)];
-        let ((w, h), parts) = tiles.pack(&[(0, &data[0]), (2, &data[1])], blocks);
+        let (mut parts, (w, h)) = (Vec::new(), tiles.atlas([0, 2].into_iter()).0);
+        let mut put = |part: &[u8]| {
+            parts.push(part.to_vec());
+            Ok(())
+        };
+        tiles.pack(&[(0, &data[0]), (2, &data[1])], blocks, &mut put).unwrap();
         assert_eq!(((w, h), parts.len()), ((7 * SIDE, SIDE), 1));
         let parts: Vec<&[u8]> = parts.iter().map(|p| &p[..]).collect();
         let back = tiles.unpack(&[0, 2], (blocks, rows), (w, h), &parts).unwrap();

@@ -84,8 +84,9 @@ pub(crate) struct Args {
     /// What is between the lights [default: cross-validated; PCA: gaussian]
     #[arg(long, value_enum)]
     interpolation: Option<Between>,
-    /// Memory for the pictures in MiB; a larger stack is read twice
-    #[arg(long, value_name = "MIB", default_value_t = 1536)]
+    /// Memory for all of it in MiB; a stack larger than three quarters of that is read twice, and what finds no room is kept in
+    /// files beside the output, which have no names and end with the program
+    #[arg(long, value_name = "MIB", default_value_t = 2048)]
     memory: usize,
 }
 
@@ -220,12 +221,19 @@ impl Args {
                 TilesName::Adaptive => Tiling::Adaptive,
             },
             memory: self.memory.saturating_mul(1 << 20),
+            scratch: self.scratch(),
             ..Params::default()
         })
     }
 }
 
 impl Args {
+    /// The folder of the output, where that is one: there is room for large files, which temporary folders may have in memory only.
+    fn scratch(&self) -> Option<PathBuf> {
+        let folder = self.output.parent().filter(|_| !translume_image::atomic::is_stream(&self.output))?;
+        Some(if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder.to_owned() })
+    }
+
     /// The scale asked for; `None`: that of the model.
     fn domain(&self, model: Model) -> Option<Domain> {
         let (scale, delta) = (self.scale, self.delta);
