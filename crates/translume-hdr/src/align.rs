@@ -9,6 +9,7 @@ use crate::exposure::Shot;
 use crate::field::{Affine, Field, IDENTITY, apply};
 use crate::global::{self, Level};
 use crate::local;
+use crate::look::{self, Look};
 use crate::plane::Plane;
 use rayon::prelude::*;
 
@@ -64,6 +65,20 @@ pub(crate) fn align(
     let unmoved = || Aligned { field: Field::identity(), cost: [0.0; 3], motion: Motion::default(), note: None };
     let mut out: Vec<Aligned> = shots.iter().map(|_| unmoved()).collect();
     if how == Alignment::Off {
+        let looks: Vec<Look> = shots.par_iter().map(|s| Look::new(s.codes)).collect();
+        for chain in chains(order, anchor) {
+            for pair in std::iter::once(anchor).chain(chain).collect::<Vec<_>>().windows(2) {
+                let (from, i) = (pair[0], pair[1]);
+                let likeness = looks[from].likeness(&looks[i]);
+                out[i].note = likeness.filter(|l| *l < look::DIFFERENT).map(|l| {
+                    format!(
+                        "{} and {} do not look like one scene (they agree by {l:.2} of 1), and they are not aligned: is it \
+                         of another bracket, or was the camera moved? Its part of the result may be wrong",
+                        shots[i].name, shots[from].name
+                    )
+                });
+            }
+        }
         return out;
     }
     for chain in chains(order, anchor) {

@@ -258,6 +258,31 @@ fn brackets_of_a_panorama_have_one_brightness() {
     assert!(run.status == 0 && run.stderr.contains("--scale"), "{}", run.stderr);
 }
 
+/// `--group` is taken at its word: shots of two scenes in one group are merged, but not without a word, aligned or not.
+#[test]
+fn strangers_in_one_group_are_said() {
+    let dir = tempdir().unwrap();
+    let shoot = dir.path().join("mixed");
+    fs::create_dir(&shoot).unwrap();
+    let camera = Camera { size: (240, 180), ..camera() };
+    let write = |number: u32, shot: usize| {
+        let shots = shots_of(&another_scene(number), &Pose::default(), &camera, &SECS);
+        jpeg(&shoot.join(format!("{shot}.jpg")), camera.size, &shots[shot], Some(SECS[shot]), 97);
+    };
+    (0..3).for_each(|shot| write(1, shot));
+    for preset in ["tripod", "handheld"] {
+        let warnings = |options: &[&str]| {
+            let preset = format!("--preset={preset}");
+            let told = hdr(dir.path(), &[&["mixed", "--group=3", &preset, "-o", "out"], options].concat());
+            told["warnings"].as_array().unwrap().iter().map(|w| w.to_string()).collect::<Vec<_>>()
+        };
+        assert!(warnings(&[]).is_empty(), "{preset}: {:?}", warnings(&[]));
+        write(2, 2);
+        assert!(warnings(&[]).iter().any(|w| w.contains("2.jpg") && w.contains("scene")), "{preset}");
+        write(1, 2);
+    }
+}
+
 #[test]
 fn exposures_that_contradict_the_pixels_are_an_error() {
     let dir = tempdir().unwrap();
