@@ -1,10 +1,11 @@
 //! `translume compare`: every measure of two pictures, and a page with difference pictures.
 
+use super::page::{self, Chapter, Figure, Table};
 use crate::cli::Usage;
 use crate::output::Context;
 use serde_json::{Map, Value, json};
-use std::path::PathBuf;
-use translume_image::compare::{CompareParams, compare, write_report};
+use std::path::{Path, PathBuf};
+use translume_image::compare::{CompareParams, Comparison, PICTURES, compare, write_pictures};
 use translume_image::{Format, Picture, read_picture};
 
 const EXAMPLES: &str = "\
@@ -75,8 +76,7 @@ pub(crate) fn run(args: Args, ctx: &Context) -> anyhow::Result<()> {
     let found = compare(&reference, &test, &params)?;
     let mut files = Vec::new();
     if let Some(folder) = &args.report {
-        let names = (args.reference.to_string_lossy(), args.test.to_string_lossy());
-        files = write_report(folder, (&reference, &test), (&names.0, &names.1), &found)?;
+        files = write_report(folder, (&reference, &test), [&args.reference, &args.test], &found)?;
     }
     let rows = found.rows();
     let table: Vec<String> = rows.iter().map(|(n, v, meaning)| format!("{n:13} {v:14.6}   {meaning}")).collect();
@@ -116,4 +116,40 @@ fn is_float(path: &std::path::Path) -> anyhow::Result<bool> {
         Format::Png | Format::Jpeg | Format::Tga => false,
         Format::Tiff => translume_image::read_codes(path)?.is_linear(),
     })
+}
+
+/// Writes a page with the pictures of [`write_pictures`]; returns all files.
+fn write_report(
+    folder: &Path,
+    (reference, test): (&Picture, &Picture),
+    names: [&Path; 2],
+    found: &Comparison,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let (mut files, ev) = write_pictures(folder, (reference, test), found)?;
+    let [reference_name, test_name] = names.map(Path::to_string_lossy);
+    let caption = |file: &str, what: &str| match file {
+        "reference.png" => format!("{what}: {reference_name}"),
+        "test.png" => format!("{what}: {test_name}"),
+        _ => what.to_owned(),
+    };
+    let figure = |(file, what): &(&str, &str)| Figure { file: (*file).into(), caption: caption(file, what) };
+    let pictures: Vec<Figure> = PICTURES.iter().map(figure).collect();
+    let mut rows = vec![Vec::new(), Vec::new(), Vec::new()];
+    pictures.into_iter().enumerate().for_each(|(i, f)| rows[[0, 0, 2, 1, 1][i]].push(f));
+    let (width, height) = reference.pixels.dimensions();
+    let exposures = found.flip.exposures.map_or(String::new(), |(from, to, count)| {
+        format!(" FLIP looked at {count} exposures from {from:+.2} to {to:+.2} stops.")
+    });
+    let rows_of = |(n, v, meaning): &(&str, f64, &str)| vec![format!("{n}: {meaning}"), format!("{v:.6}")];
+    let measures: Vec<Vec<String>> = found.rows().iter().map(rows_of).collect();
+    let chapter = Chapter {
+        title: "Differences".into(),
+        html: format!("<p>{width} × {height} pixels, shown at {ev:+.2} stops.{exposures}</p>"),
+        pictures: rows,
+        figures: Table { columns: vec!["measure".into(), "value".into()], rows: measures },
+    };
+    let page = folder.join("index.html");
+    page::write(&page, &format!("{test_name} against {reference_name}"), "", &[chapter])?;
+    files.push(page);
+    Ok(files)
 }

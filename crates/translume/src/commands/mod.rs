@@ -18,6 +18,7 @@ mod merge;
 mod mesh;
 mod page;
 mod pictures;
+mod plot;
 mod render;
 mod scatter;
 mod scene;

@@ -79,7 +79,7 @@ const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;pa
     .row{display:flex;gap:.8rem;margin:1rem 0}figure{margin:0;flex:1;min-width:0}img{width:100%;display:block;background:#ddd}\
     figcaption{font-size:.85rem;color:#555;padding-top:.3rem}table{border-collapse:collapse;margin:1.2rem 0}\
     td,th{padding:.3rem 1.2rem .3rem 0;text-align:left;border-bottom:1px solid #ddd}td:not(:first-child),th:not(:first-child)\
-    {text-align:right;font-variant-numeric:tabular-nums}pre{background:#eee;padding:.8rem;overflow-x:auto;font-size:.85rem}\
+    {text-align:right;font-variant-numeric:tabular-nums}pre{background:#eee;padding:.8rem;overflow-x:auto;font-size:.85rem}.warn{color:#a40}\
     @media(max-width:640px){.row{flex-direction:column}}";
 
 /// Text as HTML.

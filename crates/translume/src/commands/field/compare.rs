@@ -1,10 +1,10 @@
 //! `translume field compare`.
 
-use super::super::page::{self, Chapter, Figure, Table};
+use crate::commands::page::{self, Chapter, Figure, Table};
+use crate::commands::plot::{Axis, Marks, Plot, Series, Shape};
 use crate::output::Context;
 use anyhow::Context as _;
 use serde_json::json;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use translume_field::measure::{self, PictureError};
 use translume_field::{Domain, Field, Model, Params, Rate, Relighter, Stack, compress, file};
@@ -177,54 +177,21 @@ fn report(
 
 /// Error curves on a logarithmic scale, as SVG.
 fn plot(log: &[f64], linear: &[f64], (terms, rms): (usize, f64)) -> String {
-    let (w, h, left, bottom) = (760.0, 420.0, 70.0, 45.0);
     let values = || log.iter().chain(linear).copied().chain([rms]).filter(|v| *v > 0.0);
     let low = values().fold(f64::INFINITY, f64::min).max(1e-6).log10().floor();
     let high = values().fold(0.0, f64::max).max(1e-5).log10().ceil().max(low + 1.0);
     let most = log.len().max(linear.len()).max(terms).max(2) as f64;
-    let x = |k: f64| left + (k - 1.0) / (most - 1.0) * (w - left - 20.0);
-    let y = |v: f64| 20.0 + (high - v.max(1e-6).log10()) / (high - low) * (h - bottom - 20.0);
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" font-family=\"sans-serif\" font-size=\"13\">\n\
-         <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n"
-    );
-    for decade in low as i32..=high as i32 {
-        let at = y(10f64.powi(decade));
-        let _ = writeln!(
-            out,
-            "<path d=\"M{left} {at:.1}H{}\" stroke=\"#ddd\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            w - 20.0,
-            left - 8.0,
-            at + 4.0,
-            10f64.powi(decade)
-        );
-    }
-    for k in (1..=most as usize).filter(|k| *k == 1 || k % 4 == 0) {
-        let _ = writeln!(
-            out,
-            "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{k}</text>",
-            x(k as f64),
-            h - bottom + 20.0
-        );
-    }
-    for (curve, colour, name, row) in [(log, "#1663a6", "log PCA", 0.0), (linear, "#b5541c", "linear PCA", 1.0)] {
-        let points: Vec<String> =
-            curve.iter().enumerate().map(|(i, v)| format!("{:.1},{:.1}", x(i as f64 + 1.0), y(*v))).collect();
-        let _ = writeln!(
-            out,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/><text x=\"{}\" y=\"{}\" fill=\"{colour}\" text-anchor=\"end\">{name}</text>",
-            points.join(" "),
-            w - 28.0,
-            38.0 + 18.0 * row
-        );
-    }
-    let _ = writeln!(
-        out,
-        "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"5\" fill=\"#2a7d2e\"/><text x=\"{}\" y=\"74\" fill=\"#2a7d2e\" text-anchor=\"end\">this field</text>",
-        x(terms as f64),
-        y(rms),
-        w - 28.0
-    );
-    let _ = writeln!(out, "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">terms</text>\n</svg>", w / 2.0, h - 6.0);
-    out
+    let points = |curve: &[f64]| curve.iter().enumerate().map(|(i, v)| [i as f64 + 1.0, v.max(1e-6)]).collect();
+    let curve = |name, color, values| Series { name, color, points: points(values), shape: Shape::Curve };
+    let own = [[terms as f64, rms.max(1e-6)]];
+    let plot = Plot {
+        x: Axis { title: "terms", range: (1.0, most), marks: Marks::Every(4.0) },
+        y: Axis { title: "RMS", range: (10f64.powf(low), 10f64.powf(high)), marks: Marks::Decades },
+        series: vec![
+            curve("log PCA", "#1663a6", log),
+            curve("linear PCA", "#b5541c", linear),
+            Series { name: "this field", color: "#2a7d2e", points: own.to_vec(), shape: Shape::Dots(5.0) },
+        ],
+    };
+    plot.svg()
 }

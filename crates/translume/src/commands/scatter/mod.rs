@@ -3,13 +3,13 @@
 mod fit;
 mod fit_hierarchical;
 pub(super) mod picture;
-mod plot;
 mod register;
 mod relight;
 mod report;
 mod report_hierarchical;
 mod report_mesh;
 mod report_planar;
+mod samples_plot;
 mod simulate;
 
 use crate::output::Context;

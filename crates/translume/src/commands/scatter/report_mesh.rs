@@ -1,7 +1,7 @@
 //! The report about an object.
 
-use super::plot::{self, Line};
 use super::report::{Args, Row, Told, figure, frame_pictures};
+use super::samples_plot::{self, Line};
 use crate::commands::page::Figure;
 use crate::output::Context;
 use std::path::Path;
@@ -72,7 +72,7 @@ fn pictures(
         let vertex = model.vertices[nearest].clone();
         Line { name, color, value: Box::new(move |r| vertex.value(r, channel)) }
     };
-    plot::write(
+    samples_plot::write(
         &folder.join("samples.svg"),
         &samples,
         &[line("this model", "#14479e", model), line("dipole", "#c0392b", dipole)],

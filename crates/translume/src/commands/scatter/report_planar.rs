@@ -1,7 +1,7 @@
 //! The report about a flat sample.
 
-use super::plot::{self, Line};
 use super::report::{Args, Row, Told, figure, frame_pictures};
+use super::samples_plot::{self, Line};
 use crate::commands::page::Figure;
 use crate::output::Context;
 use std::path::Path;
@@ -99,7 +99,7 @@ fn against(
     }
     // Names are listed from the top: those without come last.
     lines.sort_by_key(|l| l.name.is_empty());
-    plot::write(&folder.join("samples.svg"), &samples, &lines)?;
+    samples_plot::write(&folder.join("samples.svg"), &samples, &lines)?;
     let caption = "the samples of this frame against their fits, without modulation".to_owned();
     Ok(Figure { file: "samples.svg".into(), caption })
 }
