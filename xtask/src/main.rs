@@ -1,7 +1,9 @@
-//! Chores of the project: `cargo xtask layers`, `cargo xtask licences`, `cargo xtask slow`, `cargo xtask fuzz`.
+//! Chores of the project: `cargo xtask layers`, `cargo xtask licences`, `cargo xtask fuzz`,
+//! `cargo xtask same-bits`.
 
 mod layers;
 mod licences;
+mod same_bits;
 mod spdx;
 
 use std::process::{Command, ExitCode};
@@ -9,18 +11,18 @@ use std::process::{Command, ExitCode};
 const USAGE: &str = "\
 Usage: cargo xtask CHORE
 
-  layers    check that crates depend only on crates of lower layers
-  licences  list the licences of all dependencies and check that they are permissive
-  slow      run the tests that are too slow for every day (ignored ones), optimised
-  fuzz      mutate the files of fuzz/corpus and read them, 60 s long or as long as --seconds says; fuzz help tells more";
+  layers     check that crates depend only on crates of lower layers
+  licences   list the licences of all dependencies and check that they are permissive
+  fuzz       mutate the files of fuzz/corpus and read them, 60 s long or as long as --seconds says; fuzz help tells more
+  same-bits  run two builds of the program on the same work and compare their outputs bit for bit";
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
     let outcome = match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["layers"] => layers::check(),
         ["licences"] => licences::check(),
-        ["slow"] => cargo(&["test", "--workspace", "--release", "--locked", "--", "--ignored"]),
         ["fuzz", words @ ..] => fuzz(words),
+        ["same-bits", words @ ..] => same_bits::run(words),
         ["help" | "-h" | "--help"] => {
             println!("{USAGE}");
             Ok(())
