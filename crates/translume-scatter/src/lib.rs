@@ -9,6 +9,7 @@
 //! | `lanes`, `lm`, `radial` | least squares; the fit of one fall-off |
 //! | `exponential`, `diffusion`, `curve` | the models |
 //! | `segments`, `fit`, `batch` | directions, one point, all points of a list |
+//! | `laplace` | values of some vertices to all |
 //! | `capture` | capture sets: rig, mesh, frames as a Zarr array |
 //! | `simulate` | captures of slabs and solids of heterogeneous media |
 //! | `register` | where cameras and laser of a capture were, from its frames |
@@ -31,6 +32,7 @@ mod fit;
 mod gains;
 pub mod hierarchical;
 mod lanes;
+mod laplace;
 mod lm;
 pub mod material;
 mod model_folder;

@@ -9,8 +9,8 @@
 
 use super::colour::{Colours, Feature};
 use super::pairs::{Measured, Throughput, pair};
-use super::relax::{Graph, Known};
 use super::trend::Trend;
+use crate::laplace::{Graph, Known};
 use glam::Vec3;
 use half::f16;
 use rayon::prelude::*;

@@ -10,10 +10,10 @@ use super::colour::Colours;
 use super::kernel::{CELLS, Candidate, KNOTS, cells};
 use super::pairs::Throughput;
 use super::refine::{covered, for_beams};
-use super::relax::Known;
 use super::resample::Exposure;
 use super::split::{Records, near_enough, texel_graph};
 use super::stage::Stage;
+use crate::laplace::Known;
 use translume_image::Result;
 use translume_mesh::TriMesh;
 

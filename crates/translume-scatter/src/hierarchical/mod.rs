@@ -9,7 +9,7 @@
 //! | `charts`, `atlas`, `grid` | the texture atlas |
 //! | `stage`, `views` | what stands still while frames go by |
 //! | `resample`, `pairs` | frames to measurements between vertices |
-//! | `relax`, `trend`, `complete` | filling F |
+//! | `trend`, `complete` | filling F, by the Laplace solver of the crate |
 //! | `refine` | F corrected by what it leaves of the measurements |
 //! | `kernel`, `local`, `split` | kernels: of single spots, of all of them, less F |
 //! | `detail` | T |
@@ -31,7 +31,6 @@ mod local;
 mod model;
 mod pairs;
 mod refine;
-mod relax;
 mod resample;
 mod split;
 mod stage;

@@ -7,7 +7,7 @@
 use super::atlas::{Atlas, NONE};
 use super::kernel::{CELLS, Candidate, KNOTS, RECORD, cells, ln_fall_off};
 use super::pairs::{Throughput, pair};
-use super::relax::{Graph, Known};
+use crate::laplace::{Graph, Known};
 use glam::Vec3;
 use half::f16;
 use rayon::prelude::*;

@@ -6,14 +6,14 @@
 
 use super::model::Vertex;
 use crate::fit::{Fitter, Params};
+use crate::laplace::{Graph, Known};
 use rayon::prelude::*;
 use translume_mesh::TriMesh;
 
 /// Distances at which curves are compared, in mm: 0.25 · 1.2^i, up to some 20 mm.
 const DISTANCES: usize = 25;
-/// Most rounds over the unknown vertices, and the change of a logarithm that ends them.
+/// Most rounds over the unknown vertices.
 const ROUNDS: usize = 2000;
-const ENOUGH: f64 = 1e-4;
 
 fn distance(i: usize) -> f64 {
     0.25 * 1.2f64.powi(i as i32)
@@ -21,34 +21,42 @@ fn distance(i: usize) -> f64 {
 
 /// Fills in the vertices without fall-off; pieces of the mesh without any measured vertex stay empty.
 pub(super) fn interpolate(mesh: &TriMesh, params: &Params, vertices: &mut [Vertex]) {
-    let links = links(mesh);
-    let logs = |v: &Vertex| -> Option<Vec<f64>> {
+    let logs = |v: &Vertex| -> Option<Vec<f32>> {
         let curve = v.fall_off.evaluator()?;
         let values = (0..DISTANCES).map(|i| curve.value(distance(i), 0.0).max(1e-300).ln());
-        Some(values.chain(v.scale.iter().map(|s| s.ln())).collect())
+        Some(values.chain(v.scale.iter().map(|s| s.ln())).map(|v| v as f32).collect())
     };
-    let mut field: Vec<Option<Vec<f64>>> = vertices.iter().map(logs).collect();
-    let unknown: Vec<usize> = (0..vertices.len()).filter(|&i| field[i].is_none()).collect();
-    for _ in 0..ROUNDS {
-        let mut change = 0.0f64;
-        let mut filled = false;
-        for &i in &unknown {
-            let Some(mean) = mean(&links[i], &field) else { continue };
-            match &field[i] {
-                Some(old) => change = old.iter().zip(&mean).fold(change, |c, (a, b)| c.max((a - b).abs())),
-                None => filled = true,
-            }
-            field[i] = Some(mean);
-        }
-        if !filled && change < ENOUGH {
-            break;
-        }
+    let known: Vec<Option<Vec<f32>>> = vertices.iter().map(logs).collect();
+    let unknown: Vec<usize> = (0..vertices.len()).filter(|&i| known[i].is_none()).collect();
+    if unknown.is_empty() {
+        return;
     }
+    let graph = Graph::of_welded_mesh(mesh);
+    let count = known.iter().flatten().next().map_or(0, Vec::len);
+    // Three values at a time.
+    let filled: Vec<Vec<[f32; 3]>> = (0..count)
+        .step_by(3)
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|first| {
+            let value = |v: &[f32], c: usize| v.get(first + c).copied().unwrap_or(0.0);
+            let known: Vec<Known> = known
+                .iter()
+                .map(|v| v.as_ref().map_or([0.0; 4], |v| [value(v, 0), value(v, 1), value(v, 2), f32::INFINITY]))
+                .collect();
+            graph.fill(&known, [f32::NAN; 3], ROUNDS)
+        })
+        .collect();
+    let field = |i: usize| -> Option<Vec<f64>> {
+        let values = filled.iter().flat_map(|v| v[i]).take(count).map(f64::from);
+        let values: Vec<f64> = values.collect();
+        (!values.is_empty() && values.iter().all(|v| v.is_finite())).then_some(values)
+    };
     let channels = vertices.first().map_or(0, |v| v.scale.len());
     let fitted: Vec<(usize, Vertex)> = unknown
         .par_iter()
         .filter_map(|&i| {
-            let logs = field[i].as_ref()?;
+            let logs = field(i)?;
             let samples: Vec<[f32; 3]> =
                 (0..DISTANCES).map(|k| [distance(k) as f32, 0.0, logs[k].exp() as f32]).collect();
             let fall_off = Fitter::new(params).fit(&samples);
@@ -57,44 +65,6 @@ pub(super) fn interpolate(mesh: &TriMesh, params: &Params, vertices: &mut [Verte
         })
         .collect();
     fitted.into_iter().for_each(|(i, v)| vertices[i] = v);
-}
-
-/// The mean of the neighbours that are known so far, the nearer ones counting more.
-fn mean(links: &[(u32, f64)], field: &[Option<Vec<f64>>]) -> Option<Vec<f64>> {
-    let known = || links.iter().filter_map(|&(j, w)| Some((field[j as usize].as_ref()?, w)));
-    let total: f64 = known().map(|k| k.1).sum();
-    let (first, _) = known().next()?;
-    let mut sum = vec![0.0; first.len()];
-    known().for_each(|(f, w)| sum.iter_mut().zip(f).for_each(|(s, x)| *s += w / total * x));
-    Some(sum)
-}
-
-/// Neighbours of each vertex along edges, and the reciprocals of their lengths. Vertices at one place are neighbours, too.
-fn links(mesh: &TriMesh) -> Vec<Vec<(u32, f64)>> {
-    let p = |i: u32| glam::DVec3::from_array(mesh.positions[i as usize].map(f64::from));
-    let mut edges: Vec<(u32, u32)> =
-        mesh.indices.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]).collect();
-    let (weld, _) = mesh.weld();
-    let mut first = vec![u32::MAX; mesh.positions.len()];
-    for (i, &number) in weld.iter().enumerate() {
-        match first[number as usize] {
-            u32::MAX => first[number as usize] = i as u32,
-            twin => edges.push((twin, i as u32)),
-        }
-    }
-    let mut links = vec![Vec::new(); mesh.positions.len()];
-    let mean = edges.iter().map(|&(a, b)| (p(a) - p(b)).length()).sum::<f64>() / edges.len().max(1) as f64;
-    for (a, b) in edges {
-        // Twins and slivers count a lot, but not without limit, or the rounds would not end.
-        let weight = 1.0 / (p(a) - p(b)).length().max(0.1 * mean).max(1e-30);
-        links[a as usize].push((b, weight));
-        links[b as usize].push((a, weight));
-    }
-    links.iter_mut().for_each(|l: &mut Vec<(u32, f64)>| {
-        l.sort_by_key(|e| e.0);
-        l.dedup_by_key(|e| e.0);
-    });
-    links
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
 //! Filling functions on a mesh by Laplace's equation with the known values as its boundary [Goesele 2004, §6.2, least squares ψ].
+//! Three values at once; the hierarchical model fills in colours, the model by vertices the logarithms of its curves.
 //!
 //! The paper's iteration F ← F + (1 − c) λ/|N| Σ (F_n − F)/e_n has the weighted mean of the neighbours as its fixed point. Here it is
 //! reached quickly: a first guess from coarser and coarser groups of vertices (pull-push), then Gauss–Seidel with overrelaxation.
@@ -8,10 +9,10 @@ use glam::Vec3;
 use translume_mesh::TriMesh;
 
 /// Three values and the strength with which they are known: 0 for not at all, infinite for fixed ones.
-pub(super) type Known = [f32; 4];
+pub(crate) type Known = [f32; 4];
 
 /// Neighbours with weights, and groups of vertices.
-pub(super) struct Graph {
+pub(crate) struct Graph {
     begins: Vec<u32>,
     links: Vec<(u32, f32)>,
     /// The group of each member, level by level.
@@ -25,21 +26,38 @@ const ENOUGH: f32 = 3e-4;
 
 impl Graph {
     /// Neighbours along edges, weighted by the reciprocal of their lengths [Desbrun et al. 1999].
-    pub(super) fn of_mesh(mesh: &TriMesh) -> Self {
+    pub(crate) fn of_mesh(mesh: &TriMesh) -> Self {
+        Self::of_edges(mesh, Vec::new())
+    }
+
+    /// The same; vertices at one place are neighbours, too.
+    pub(crate) fn of_welded_mesh(mesh: &TriMesh) -> Self {
+        let (weld, _) = mesh.weld();
+        let mut first = vec![u32::MAX; mesh.positions.len()];
+        let mut twins = Vec::new();
+        for (i, &number) in weld.iter().enumerate() {
+            match first[number as usize] {
+                u32::MAX => first[number as usize] = i as u32,
+                twin => twins.push((twin, i as u32)),
+            }
+        }
+        Self::of_edges(mesh, twins)
+    }
+
+    fn of_edges(mesh: &TriMesh, mut edges: Vec<(u32, u32)>) -> Self {
         let at = |i: u32| Vec3::from(mesh.positions[i as usize]);
-        let mut edges: Vec<(u32, u32)> =
-            mesh.indices.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]).collect();
+        edges.extend(mesh.indices.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]));
         edges.iter_mut().for_each(|e| *e = (e.0.min(e.1), e.0.max(e.1)));
         edges.sort_unstable();
         edges.dedup();
         let mean = edges.iter().map(|&(a, b)| at(a).distance(at(b))).sum::<f32>() / edges.len().max(1) as f32;
-        // Slivers count a lot, but not without limit.
+        // Twins and slivers count a lot, but not without limit, or the rounds would not end.
         let weight = |a: u32, b: u32| mean / at(a).distance(at(b)).max(0.1 * mean).max(1e-30);
         Self::new(mesh.positions.len(), edges.into_iter().map(|(a, b)| (a, b, weight(a, b))))
     }
 
     /// From edges, each once, with positive weights.
-    pub(super) fn new(n: usize, edges: impl Iterator<Item = (u32, u32, f32)>) -> Self {
+    pub(crate) fn new(n: usize, edges: impl Iterator<Item = (u32, u32, f32)>) -> Self {
         let mut lists: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
         for (a, b, w) in edges {
             lists[a as usize].push((b, w));
@@ -57,12 +75,12 @@ impl Graph {
         graph
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.begins.len() - 1
     }
 
     #[inline]
-    pub(super) fn neighbours(&self, i: usize) -> &[(u32, f32)] {
+    pub(crate) fn neighbours(&self, i: usize) -> &[(u32, f32)] {
         &self.links[self.begins[i] as usize..self.begins[i + 1] as usize]
     }
 
@@ -104,7 +122,7 @@ impl Graph {
     }
 
     /// Solves for all values, in at most `rounds`; where nothing is known in a piece of the mesh, they are `otherwise`.
-    pub(super) fn fill(&self, known: &[Known], otherwise: [f32; 3], rounds: usize) -> Vec<[f32; 3]> {
+    pub(crate) fn fill(&self, known: &[Known], otherwise: [f32; 3], rounds: usize) -> Vec<[f32; 3]> {
         let mut field = self.guess(known, otherwise);
         for round in 0..rounds {
             let mut change = 0.0f32;
@@ -121,7 +139,7 @@ impl Graph {
                 let step = |c: usize| (mean[c] + strength * known[i][c]) / (1.0 + strength) - field[i][c];
                 let steps = [step(0), step(1), step(2)];
                 (0..3).for_each(|c| field[i][c] += OMEGA * steps[c]);
-                change = change.max(steps[0].abs());
+                change = steps.iter().fold(change, |c, s| c.max(s.abs()));
             }
             if change < ENOUGH {
                 break;
@@ -159,7 +177,7 @@ impl Graph {
     }
 
     /// The paper's relaxation as it is printed, `rounds` times with the largest step that is stable, from `otherwise`.
-    pub(super) fn plain(&self, known: &[Known], otherwise: [f32; 3], rounds: usize) -> Vec<[f32; 3]> {
+    pub(crate) fn plain(&self, known: &[Known], otherwise: [f32; 3], rounds: usize) -> Vec<[f32; 3]> {
         let value = |k: &Known| if k[3] > 0.0 { [k[0], k[1], k[2]] } else { otherwise };
         let mut field: Vec<[f32; 3]> = known.iter().map(value).collect();
         for _ in 0..rounds {
