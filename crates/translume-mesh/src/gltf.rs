@@ -183,12 +183,24 @@ impl Asset {
         }
     }
 
-    /// The visible nodes with meshes of the default scene (all root nodes when the file has no scene), in depth-first
-    /// order.
+    /// The visible nodes with meshes, of [`Asset::nodes`].
+    ///
+    /// # Errors
+    /// As [`Asset::nodes`].
+    pub fn placed(&self) -> Result<Vec<Placed>> {
+        let with_mesh = |(node, world_from_node): (usize, DAffine3)| {
+            let mesh = self.document.nodes[node].mesh?.get();
+            Some(Placed { node, mesh, world_from_node })
+        };
+        Ok(self.nodes()?.into_iter().filter_map(with_mesh).collect())
+    }
+
+    /// The visible nodes of the default scene (of all roots when the file has no scene) with their transforms to the world, in
+    /// depth-first order, parents first.
     ///
     /// # Errors
     /// [`Error::Invalid`] when a node is its own ancestor or has two parents.
-    pub fn placed(&self) -> Result<Vec<Placed>> {
+    pub fn nodes(&self) -> Result<Vec<(usize, DAffine3)>> {
         let nodes = &self.document.nodes;
         let roots: Vec<usize> = match self.document.scenes.get(self.document.scene.map_or(0, |s| s.get())) {
             Some(scene) => scene.nodes.iter().map(|n| n.get()).collect(),
@@ -203,7 +215,7 @@ impl Asset {
         };
         let mut stack: Vec<(usize, DAffine3)> = roots.iter().rev().map(|&n| (n, DAffine3::IDENTITY)).collect();
         let mut seen = vec![false; nodes.len()];
-        let mut placed = Vec::new();
+        let mut found = Vec::new();
         while let Some((index, world_from_parent)) = stack.pop() {
             let Some(node) = nodes.get(index) else {
                 return Err(Error::invalid(&self.path, format!("there is no node {index}")));
@@ -218,12 +230,10 @@ impl Asset {
                 continue;
             }
             let world_from_node = world_from_parent * node.local_transform();
-            if let Some(mesh) = node.mesh {
-                placed.push(Placed { node: index, mesh: mesh.get(), world_from_node });
-            }
+            found.push((index, world_from_node));
             stack.extend(node.children.iter().rev().map(|c| (c.get(), world_from_node)));
         }
-        Ok(placed)
+        Ok(found)
     }
 
     /// Where a node draws its mesh, in its own space: many times by `EXT_mesh_gpu_instancing`, else once.

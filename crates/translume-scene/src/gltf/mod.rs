@@ -78,7 +78,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         told: HashSet::new(),
     };
     loader.extensions()?;
-    for (node, world_from_node) in loader.nodes()? {
+    for (node, world_from_node) in loader.asset.nodes()? {
         loader.node(node, &world_from_node)?;
     }
     if loader.builder.scene.sensors.is_empty() {
@@ -150,38 +150,6 @@ impl Loader {
             self.warn_once(format!("the extension {name} is not supported and left out"));
         }
         Ok(())
-    }
-
-    /// The nodes of the default scene (of all roots when there is no scene) with their places, parents first.
-    fn nodes(&self) -> Result<Vec<(usize, DAffine3)>> {
-        let document = &self.asset.document;
-        let roots: Vec<usize> = match document.scenes.get(document.scene.map_or(0, |s| s.get())) {
-            Some(scene) => scene.nodes.iter().map(|n| n.get()).collect(),
-            None if document.scene.is_some() => return Err(self.invalid("the default scene is missing")),
-            None => {
-                let children: HashSet<usize> =
-                    document.nodes.iter().flat_map(|n| &n.children).map(|c| c.get()).collect();
-                (0..document.nodes.len()).filter(|i| !children.contains(i)).collect()
-            }
-        };
-        let mut stack: Vec<_> = roots.into_iter().rev().map(|n| (n, DAffine3::IDENTITY)).collect();
-        let mut seen = vec![false; document.nodes.len()];
-        let mut placed = Vec::new();
-        while let Some((index, world_from_parent)) = stack.pop() {
-            let Some(node) = document.nodes.get(index) else {
-                return Err(self.invalid(format!("there is no node {index}")));
-            };
-            if std::mem::replace(&mut seen[index], true) {
-                return Err(self.invalid(format!("node {index} is reached twice: the nodes are no tree")));
-            }
-            if !node.is_visible() {
-                continue;
-            }
-            let world_from_node = world_from_parent * node.local_transform();
-            placed.push((index, world_from_node));
-            stack.extend(node.children.iter().rev().map(|c| (c.get(), world_from_node)));
-        }
-        Ok(placed)
     }
 
     fn node(&mut self, index: usize, world_from_node: &DAffine3) -> Result<()> {
