@@ -104,6 +104,7 @@ impl Texture {
             (low[c], high[c]) = (low[0], high[0]);
         }
         let height = planes[0].len() / width;
+        // [Menzel 2012, §4.3]
         let unit = |c: usize, i: usize| (planes[c][i] - low[c]) / (high[c] - low[c]);
         let data = match codec {
             Codec::R8 => (0..planes[0].len()).map(|i| byte(unit(0, i))).collect(),
