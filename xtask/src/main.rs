@@ -1,9 +1,11 @@
-//! Chores of the project: `cargo xtask layers`, `cargo xtask licences`, `cargo xtask fuzz`,
+//! Chores of the project: `cargo xtask layers`, `cargo xtask equations`, `cargo xtask licences`, `cargo xtask fuzz`,
 //! `cargo xtask same-bits`.
 
+mod equations;
 mod layers;
 mod licences;
 mod same_bits;
+mod source;
 mod spdx;
 
 use std::process::{Command, ExitCode};
@@ -12,6 +14,7 @@ const USAGE: &str = "\
 Usage: cargo xtask CHORE
 
   layers     check that crates depend only on crates of lower layers
+  equations  check that docs/papers.md and the tags of equations in the code agree
   licences   list the licences of all dependencies and check that they are permissive
   fuzz       mutate the files of fuzz/corpus and read them, 60 s long or as long as --seconds says; fuzz help tells more
   same-bits  run two builds of the program on the same work and compare their outputs bit for bit";
@@ -20,6 +23,7 @@ fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
     let outcome = match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["layers"] => layers::check(),
+        ["equations"] => equations::check(),
         ["licences"] => licences::check(),
         ["fuzz", words @ ..] => fuzz(words),
         ["same-bits", words @ ..] => same_bits::run(words),

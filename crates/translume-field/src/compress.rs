@@ -1,4 +1,4 @@
-//! From a stack to a field: the phases of [Menzel 2012, ch. 4], for the default model and its baselines.
+//! From a stack to a field: the phases of [Menzel 2012, §4], for the default model and its baselines.
 
 use crate::Relighter;
 use crate::basis::Basis;
@@ -521,7 +521,7 @@ impl Job<'_> {
         }
     }
 
-    /// Eigenimages of three channels, σ u, and weights v [Menzel 2012, §4.2].
+    /// Eigenimages of three channels, σ u, and weights v [Menzel 2012, §4.2 components].
     fn eigenimages(&mut self, terms: usize) -> Result<Field> {
         (self.progress)("decomposing");
         let n = self.lights.len();

@@ -1,4 +1,4 @@
-//! The scale on which a stack is taken apart: log light [Menzel 2012, §4.2], and what is measured beside it.
+//! The scale on which a stack is taken apart: log light [Menzel 2012, §4.2 logarithm], and what is measured beside it.
 //!
 //! A value is light divided by the stack's white, so that the offset δ and the scale of 16-bit floats mean the same for
 //! any source. δ is an offset against the noise floor: light far below it is noise, and the logarithm is nearly linear
@@ -55,6 +55,7 @@ impl Domain {
     pub fn value(self, x: f32) -> f32 {
         let x = x.max(0.0);
         match self {
+            // [Menzel 2012, §4.2 logarithm]
             Self::Log { delta } => (delta + x).ln(),
             Self::Root { delta } => (delta + x.sqrt()).ln(),
             Self::Linear => x,
@@ -76,6 +77,7 @@ impl Domain {
     #[inline(always)]
     pub fn light(self, values: &mut [f32]) {
         match self {
+            // [Menzel 2012, §4.4 inverse]
             Self::Log { delta } => values.iter_mut().for_each(|v| *v = (exp(*v) - delta).clamp_light()),
             Self::Root { delta } => values.iter_mut().for_each(|v| {
                 let root = (exp(*v) - delta).max(0.0);

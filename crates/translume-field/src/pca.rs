@@ -1,6 +1,6 @@
 //! The first principal directions of a stack's matrix, without ever taking it apart in full.
 //!
-//! - [`lanczos`]: [Menzel 2012, §4.2]: a Krylov space of dimension 4k, started from the white image, and the eigenvalues
+//! - [`lanczos`]: [Menzel 2012, §4.2 Krylov]: a Krylov space of dimension 4k, started from the white image, and the eigenvalues
 //!   of the projection to it. Multiplying by M and Mᵀ in turn from a white image w gives the same space in light space as
 //!   the matrix MMᵀ from the vector Mw, and that matrix is small (lights × lights): it is summed in one pass, and the
 //!   iteration runs on it. With full re-orthogonalisation.
@@ -33,6 +33,7 @@ pub fn light_gram(matrix: &Matrix, step: usize) -> (DMatrix<f64>, DVector<f64>) 
 pub fn lanczos(gram: &DMatrix<f64>, start: &DVector<f64>, k: usize) -> (DMatrix<f64>, Vec<f64>) {
     let n = gram.nrows();
     let scale = gram.trace().max(f64::MIN_POSITIVE);
+    // [Menzel 2012, §4.2 Krylov]
     let mut basis: Vec<DVector<f64>> = Vec::new();
     let mut next = start.clone();
     let mut rng = Pcg32::new(1, 0);

@@ -182,7 +182,7 @@ impl<'a> Relighter<'a> {
         }
     }
 
-    /// What the codes of each layer count; and what is the same for all texels with no, one, two, … layers.
+    /// [Menzel 2012, §4.4 sum]: what the codes of each layer count; and what is the same for all texels with no, one, two, … layers.
     fn factors(&self, mix: &Mix) -> (Vec<Rgb>, Vec<Factors>) {
         let (mut constant, colour) = (mix.constant, self.field.in_colour());
         let mut constants = vec![constant];

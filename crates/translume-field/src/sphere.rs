@@ -1,7 +1,7 @@
 //! From weights at the lights of a stack to weights at any direction.
 //!
-//! Two interpolations by radial functions. [`Kernel::Gaussian`] is the thesis' [Menzel 2012, §4.5, corrected:
-//! e^{−(d/s)²}, the printed exponent lacks the square], of width s = 1.5 × the mean distance to the nearest light: it
+//! Two interpolations by radial functions. [`Kernel::Gaussian`] is the thesis' [Menzel 2012, §4.5] (corrected:
+//! e^{−(d/s)²}, the printed exponent lacks the square), of width s = 1.5 × the mean distance to the nearest light: it
 //! goes through all data. The default, [`Kernel::Surface`], is regression by a Gaussian process (Rasmussen and Williams
 //! 2006, ch. 2 and 5) with an unknown constant and the covariance
 //!
@@ -130,6 +130,7 @@ const FREE: f64 = 1e4;
 fn covariance(kernel: Kernel, lights: &[Point], matt: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(lights.len(), lights.len(), |i, j| {
         let d = chord(lights[i], lights[j]);
+        // [Menzel 2012, §4.5], corrected.
         match kernel {
             Kernel::Gaussian { width } => (-(d / f64::from(width)).powi(2)).exp(),
             Kernel::Surface { rough, width, .. } => {

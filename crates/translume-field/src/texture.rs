@@ -95,6 +95,7 @@ impl Texture {
             return Err(Error::Parameter(what));
         }
         let height = planes[0].len() / width;
+        // [Menzel 2012, §4.3]
         let unit = |c: usize, i: usize| (planes[c][i] - low[c]) / (high[c] - low[c]);
         let data = match codec {
             Codec::R8 => (0..planes[0].len()).map(|i| byte(unit(0, i))).collect(),

@@ -1,4 +1,4 @@
-//! Which pixels of a picture show the same scene as the anchor [Menzel ch. 5 §3, corrected].
+//! Which pixels of a picture show the same scene as the anchor [Menzel 2012, §5.3], corrected.
 //!
 //! Two tests per pixel. The thesis' 11 × 11 normalised correlation, mean not subtracted, on values brought to a common
 //! exposure: skipped where the anchor has no information (clipped or black), because then nothing can be compared. And,
@@ -230,7 +230,7 @@ impl Testimony<'_> {
     }
 }
 
-/// Raw confidence of picture `i`, by the anchor and, where that is clipped or black, by the picture between them.
+/// Raw confidence of picture `i` [Menzel 2012, §5.3 weight], by the anchor and, where that is clipped or black, by the picture between them.
 fn confidence(
     shots: &[Shot<'_>],
     aligned: &[Aligned],
@@ -306,7 +306,7 @@ fn neighbourhood(s: &Strip, x: usize, y: usize, rows: usize) -> [(f32, f32); 3] 
     std::array::from_fn(|c| (0.5 * (low[c] + own[c]), 0.5 * (high[c] + own[c])))
 }
 
-/// K of the thesis: Σ c_i c_r / √(Σ c_i² Σ c_r²) over 11 × 11, values brought to a common exposure and clamped to the
+/// K [Menzel 2012, §5.3 confidence]: Σ c_i c_r / √(Σ c_i² Σ c_r²) over 11 × 11, values brought to a common exposure and clamped to the
 /// common range; 1 where a pixel cannot be compared.
 fn correlations(a: &Shot<'_>, b: &Shot<'_>, reference: &Strip, picture: &Strip) -> Vec<f32> {
     let (w, n) = (picture.width, picture.seen.len());

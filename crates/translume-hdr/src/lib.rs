@@ -1,4 +1,4 @@
-//! Hand-held exposure brackets to radiance [Menzel, thesis, ch. 5].
+//! Hand-held exposure brackets to radiance [Menzel 2012, §5].
 //!
 //! `exposures → response → alignment field → ghost confidence → weighted log merge`. [`merge_bracket`] is the whole
 //! chain; its parts are one file each. Pictures come in as [`translume_image::Codes`] with a relative exposure, any
@@ -283,7 +283,7 @@ impl Clock {
     }
 }
 
-/// The picture whose histogram of green codes has the highest entropy [Menzel ch. 5 §1]; of equals the first.
+/// The picture whose histogram of green codes has the highest entropy [Menzel 2012, §5.1 anchor]; of equals the first.
 fn highest_entropy(shots: &[Shot<'_>]) -> usize {
     let entropies: Vec<f64> = shots
         .par_iter()

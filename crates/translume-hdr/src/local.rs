@@ -1,4 +1,4 @@
-//! Hierarchical non-linear alignment by macroblocks [Menzel ch. 5 §1], then sub-pixel positions.
+//! Hierarchical non-linear alignment by macroblocks [Menzel 2012, §5.1], then sub-pixel positions.
 //!
 //! As in the thesis: blocks of 16 × 16 on every level of a pyramid (which is blocks of 2ⁿ on the picture, at a cost
 //! linear in pixels), correlation of edge-enhanced pictures, nine starts (the interpolated parent displacement and
@@ -18,7 +18,7 @@ use std::collections::HashMap;
 const BLOCK: usize = 16;
 /// Pixels around a block that also count in its score, against ties in small blocks.
 const MARGIN: isize = 4;
-/// A block whose correlation is below this share of its parent's is not displaced.
+/// A block whose correlation is below this share of its parent's is not displaced [Menzel 2012, §5.1 ten percent].
 const TEN_PERCENT: f32 = 0.1;
 /// Steps of the ascent on the coarsest and on all finer levels.
 const RADIUS: (usize, usize) = (4, 2);
@@ -65,7 +65,7 @@ fn match_level(a: &Plane, b: &Plane, parent: Option<&(Grid, Vec<f32>)>, radius: 
     (grid, results.into_iter().map(|r| r.1).collect())
 }
 
-/// The interpolated displacement of the parent level at a block, the nine starts and the parent's score.
+/// [Menzel 2012, §5.1 starts]: the interpolated displacement of the parent level at a block, the nine starts and the parent's score.
 fn starts_of(parent: &Grid, scores: &[f32], x: f32, y: f32) -> ([f32; 2], Vec<[i32; 2]>, f32) {
     // Coarse pixel x sits at fine 2x + 0.5.
     let (px, py) = ((x - 0.5) / 2.0, (y - 0.5) / 2.0);
@@ -90,7 +90,7 @@ fn starts_of(parent: &Grid, scores: &[f32], x: f32, y: f32) -> ([f32; 2], Vec<[i
     (centre, starts, scores[cy as usize * parent.nx + cx as usize])
 }
 
-/// Ascends from every start and takes the best; ties go to the one nearest to the interpolated displacement.
+/// [Menzel 2012, §5.1 search]: ascends from every start and takes the best; ties go to the one nearest to the interpolated displacement.
 #[allow(clippy::too_many_arguments, reason = "the state of one block; a struct would only rename it")]
 fn best_of(
     a: &Plane,
@@ -176,7 +176,7 @@ impl Block {
             (sum, squares, product) = (sum + tb, squares + tbb, product + tab);
         }
         let n = self.values.len() as f32;
-        // ã has mean 0, so b's mean drops out of the product.
+        // [Menzel 2012, §5.1 score], corrected. ã has mean 0, so b's mean drops out of the product.
         let variance = (squares - sum * sum / n).max(0.0);
         if variance <= 1e-9 { 0.0 } else { product / (n * variance).sqrt() }
     }

@@ -1,4 +1,4 @@
-//! The weighted log average [Menzel ch. 5 §2, corrected]: log E = Σ w (g(c) − ln t) / Σ w.
+//! The weighted log average [Menzel 2012, §5.2], corrected: log E = Σ w (g(c) − ln t) / Σ w.
 //!
 //! Weights are the thesis' spline with its exceptions (the longest exposure keeps its dark pixels, the shortest its
 //! bright ones, because nothing tells more there) or the inverse variance of shot and read noise, times the ghost
@@ -102,6 +102,7 @@ fn pixel(m: &Merge<'_>, strips: &[Strip], p: usize, i: usize) -> ([f32; 3], Trus
             }
         }
         let (fallback, is_bound) = fallback(m, strips, p, c, held.get(m.anchor).is_none_or(|h| *h > 0.5));
+        // [Menzel 2012, §5.2 average]
         value[c] = (sum + FALLBACK * fallback) / (total + FALLBACK);
         clipped[c] = is_bound && total < 10.0 * FALLBACK;
         if strips[m.anchor].seen[p] && strips[m.anchor].is_clipped(p, c) {
@@ -132,6 +133,7 @@ fn weight_of(m: &Merge<'_>, strip: &Strip, k: usize, c: usize, p: usize) -> f32 
     let (d, u) = (&m.shots[k].decoder, strip.codes[3 * p + c]);
     match m.weights {
         Weights::Spline => {
+            // [Menzel 2012, §5.2 extremes]
             let e = d.encoded(u);
             if (k == m.longest && e < 0.5) || (k == m.shortest && e > 0.5) { 1.0 } else { d.spline_weight(c, u) }
         }

@@ -92,7 +92,7 @@ impl Plane {
         levels
     }
 
-    /// The edge-enhancing kernel of the thesis: 2 in the middle, −1/4 at the four neighbours, edges duplicated.
+    /// The edge-enhancing kernel [Menzel 2012, §5.1 edges]: 2 in the middle, −1/4 at the four neighbours, edges duplicated.
     pub(crate) fn edges(&self) -> Self {
         Self::from_rows(self.width, self.height, |y, out| {
             let (above, row, below) =

@@ -1,6 +1,6 @@
 //! How much a code is trusted.
 
-/// The thesis' quadratic spline [Menzel ch. 5 §2]: 0 with zero slope at both ends, 1 at mid code. `u` in [0, 1].
+/// The quadratic spline [Menzel 2012, §5.2 weight]: 0 with zero slope at both ends, 1 at mid code. `u` in [0, 1].
 #[inline]
 pub fn spline(u: f32) -> f32 {
     if !(0.0..=1.0).contains(&u) {

@@ -17,7 +17,7 @@ impl Exponentials {
     /// The value at distance `r` in mm.
     #[inline]
     pub fn value(&self, r: f64) -> f64 {
-        self.c.iter().zip(&self.d).map(|(c, d)| c * (d * r).exp()).sum()
+        self.c.iter().zip(&self.d).map(|(c, d)| c * (d * r).exp()).sum() // [Fuchs 2005, Eq. 1]
     }
 }
 

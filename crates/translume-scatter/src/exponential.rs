@@ -1,4 +1,4 @@
-//! Sums of exponentials [Fuchs 2005, Eq. 1, 4]: parameters, starts and what keeps them physical.
+//! Sums of exponentials, as [Fuchs 2005, Eq. 1] and [Fuchs 2005, Eq. 4] have them: parameters, starts and what keeps them physical.
 //!
 //! d_k = −exp(δ_k), so every term decays. The amplitudes c_k carry a sign, because fall-off under a wide beam has a
 //! shoulder that positive ones cannot follow (RMS error of the logarithm 0.071 with positive, 0.007 with signed c for a
@@ -85,7 +85,7 @@ impl Sums {
                 let exponent = p.d[k] * r[l];
                 let e = lanes::exp(exponent);
                 let term = p.c[k] * e;
-                values[l] += term;
+                values[l] += term; // [Fuchs 2005, Eq. 1]
                 by_c[k][l] = e;
                 by_delta[k][l] = term * exponent; // ∂d/∂δ = d
             }

@@ -13,7 +13,7 @@ use translume_bxdf::{Boundary, DipoleKind, Normalized};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
-    /// Sum of exponentials [Fuchs 2005].
+    /// Sum of exponentials (Fuchs et al. 2005).
     Exponential,
     /// Jensen et al. 2001.
     Dipole,
@@ -111,6 +111,7 @@ impl PointEvaluator<'_> {
     fn blended(&self, r: f64, l: usize, blend: f64) -> f64 {
         let near = self.segments[l].value(r);
         match blend > 0.0 {
+            // [Fuchs 2005, Eq. 3]
             true => (1.0 - blend) * near + blend * self.segments[(l + 1) % self.segments.len()].value(r),
             false => near,
         }

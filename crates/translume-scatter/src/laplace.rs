@@ -1,5 +1,6 @@
-//! Filling functions on a mesh by Laplace's equation with the known values as its boundary [Goesele 2004, §6.2, least squares ψ].
-//! Three values at once; the hierarchical model fills in colours, the model by vertices the logarithms of its curves.
+//! Filling functions on a mesh by Laplace's equation with the known values as its boundary [Goesele 2004, §6.2], with
+//! the least-squares ψ. Three values at once; the hierarchical model fills in colours, the model by vertices the logarithms
+//! of its curves.
 //!
 //! The paper's iteration F ← F + (1 − c) λ/|N| Σ (F_n − F)/e_n has the weighted mean of the neighbours as its fixed point. Here it is
 //! reached quickly: a first guess from coarser and coarser groups of vertices (pull-push), then Gauss–Seidel with overrelaxation.
@@ -183,6 +184,7 @@ impl Graph {
         for _ in 0..rounds {
             let step = |i: usize| match known[i][3] > 0.0 {
                 true => field[i],
+                // [Goesele 2004, §6.2]
                 false => [0, 1, 2].map(|c| self.neighbours(i).iter().map(|&(n, w)| w * field[n as usize][c]).sum()),
             };
             field = (0..self.len()).map(step).collect();

@@ -180,7 +180,7 @@ impl<const N: usize> Squares<N> {
     pub(crate) fn add(&mut self, values: &Block, ln: &Block, weight: &Block, j: &[Block; N]) {
         let (mut once, mut square) = ([0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
-            let residual = lanes::ln(values[l]) - ln[l];
+            let residual = lanes::ln(values[l]) - ln[l]; // [Fuchs 2005, Eq. 4]
             let inverse = 1.0 / values[l];
             let weighted = weight[l] * residual;
             self.cost[l % 4] += weighted * residual;

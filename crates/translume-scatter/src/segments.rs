@@ -32,7 +32,7 @@ pub fn hat(x: f64, y: f64, m: usize) -> (usize, f64) {
         return (0, 0.0);
     }
     let at = (y.atan2(x).rem_euclid(TAU) / TAU * m as f64).min(m as f64 * (1.0 - f64::EPSILON));
-    (at as usize, at.fract())
+    (at as usize, at.fract()) // w_l of [Fuchs 2005, Eq. 3]
 }
 
 /// The samples of segment `l` of `m`, weighted by its hat.

@@ -65,6 +65,6 @@ impl Direct {
         let segment = World::segment(&hit.point, light.wi, &light.end);
         let visible = world.transmittance(&segment, self.crossings.min(MOST_CROSSINGS));
         let weight = if light.delta || !self.weighed { 1.0 } else { power_heuristic(light.pdf_w, pdf_bsdf) };
-        visible * light.radiance * f_cos * (weight / light.pdf_w)
+        visible * light.radiance * f_cos * (weight / light.pdf_w) // [Bekaert 2003, Eq. 2]
     }
 }

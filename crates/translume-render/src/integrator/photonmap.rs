@@ -5,7 +5,7 @@
 //!
 //! - direct light is sampled (`direct=sample`, where gathering adds the directions of the BSDF by multiple importance
 //!   sampling) or is in the map (`direct=map`, without gathering: everything is seen in the map, as in the left picture of
-//!   figure 1 of Bekaert et al. 2003);
+//!   [Bekaert 2003, Fig. 1]);
 //! - caustics, light that came through mirrors and glass alone, are estimated from a map of their own;
 //! - the rest is gathered (`gather=true`): one direction of the BSDF is followed to the next diffuse surface, where direct
 //!   light is sampled and everything else estimated; or it is estimated at once.
@@ -138,6 +138,7 @@ impl PhotonMapping {
             (found, farthest2) = (found + 1, d2);
         });
         match found == self.neighbours {
+            // [Bekaert 2003, Eq. 3], by the nearest neighbours.
             true if farthest2 > 0.0 => (sum - last).max(Rgb::ZERO) / (PI * farthest2),
             true => Rgb::ZERO,
             false => sum / (PI * reach * reach),

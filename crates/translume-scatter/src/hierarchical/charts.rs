@@ -2,7 +2,7 @@
 //!
 //! A chart is grown from a triangle over neighbours whose normals lie within [`MAX_ANGLE`] of its axis, nearest first, and is
 //! projected along the axis. So a length on the surface is 1 to 1/cos 60° = 2 times its length in the atlas: the bound on stretch
-//! that Goesele 2004 (§7) asks for holds by construction. Where a projection would fold over itself (a spiral), the triangles that
+//! that [Goesele 2004, §7] asks for holds by construction. Where a projection would fold over itself (a spiral), the triangles that
 //! come later are put into charts of their own.
 
 use glam::{Vec2, Vec3};

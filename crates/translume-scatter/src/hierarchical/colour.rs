@@ -1,4 +1,4 @@
-//! Light as the logarithm of its luminance and CIE 1976 u′v′ [Goesele 2004, §6.2; "YUV" in the text].
+//! Light as the logarithm of its luminance and CIE 1976 u′v′ [Goesele 2004, §6.2 colour], "YUV" in the text.
 
 use translume_image::colour::{Matrix, Space, product_vec, uv_to_xyz, xyz_to_uv};
 
@@ -27,6 +27,7 @@ impl Colours {
         let xyz = product_vec(&self.xyz_from_rgb, rgb.map(|x| f64::from(x.max(1e-3 * most))));
         let white = product_vec(&self.xyz_from_rgb, [1.0; 3]);
         let [u, v] = xyz_to_uv(xyz, white);
+        // [Goesele 2004, §6.2 colour]
         (xyz[1] > 0.0 && xyz[1].is_finite()).then(|| [xyz[1].ln() as f32, u as f32, v as f32])
     }
 

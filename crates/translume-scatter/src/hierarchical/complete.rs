@@ -121,6 +121,7 @@ fn note(out: &mut Throughput, column: usize, values: &[Feature], wanted: impl Fn
         let i = pair(row, column);
         let word = f32::from(out.confidence[i]);
         for (stored, new) in out.ln[i].iter_mut().zip(value) {
+            // [Goesele 2004, §6.2 symmetry]
             *stored = f16::from_f32((word * stored.to_f32() + new) / (word + 1.0));
         }
         out.confidence[i] += 1;
@@ -184,6 +185,7 @@ impl<'a> Task<'a> {
         field
     }
 
+    /// [Goesele 2004, §6.2 column]
     fn lit(&self, column: usize) -> Vec<Feature> {
         let known = |row: usize| {
             let [y, u, v, w] = self.features[pair(row, column)];
@@ -206,6 +208,7 @@ impl<'a> Task<'a> {
         [0, 1, 2].map(|c| f[c] - t[c])
     }
 
+    /// [Goesele 2004, §6.2 diagonal]
     fn rings(&self, out: &Throughput, lit: &[bool]) -> Rings {
         let fixed = |f: Feature| [f[0], f[1], f[2], f32::INFINITY];
         let solve = |at: &dyn Fn(usize) -> Known| {
@@ -224,6 +227,7 @@ impl<'a> Task<'a> {
     }
 
     /// The column of a vertex that was never lit: rows of lit vertices are known by symmetry.
+    /// [Goesele 2004, §6.2 far]
     fn unlit(&self, column: usize, out: &Throughput, lit: &[bool], rings: &Rings) -> Vec<Feature> {
         let known = |row: usize| match lit[row] {
             true => {

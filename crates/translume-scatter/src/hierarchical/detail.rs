@@ -40,6 +40,7 @@ pub(super) fn detail(stage: &Stage, f: &Throughput, progress: impl Fn() + Sync) 
         }
     })?;
     let ratio = |s: &[f32; 7]| match s[6] > 0.0 {
+        // [Goesele 2004, §6.3]
         true => [0, 1, 2].map(|c| (s[c] / s[3 + c]).clamp(1.0 / MOST, MOST)),
         false => [1.0; 3],
     };

@@ -80,6 +80,7 @@ pub(super) fn measure_kernels(
     let ln_detail = |dx: i32, dy: i32, c: usize| -> Option<f32> {
         let k = (dy + WINDOW - 1) * 2 * WINDOW + dx + WINDOW - 1;
         let (rgb, d) = samples[k as usize]?;
+        // C = m(d)/measured [Goesele 2004, §7.1]
         Some((fall_off.value(d, c).ln() - rgb[c].ln()).clamp(-MOST_DETAIL, MOST_DETAIL))
     };
     let shifted = |dx: i32, dy: i32| -> Option<Candidate> {
@@ -113,9 +114,11 @@ struct FallOff {
 impl FallOff {
     fn value(&self, d: f32, channel: usize) -> f32 {
         let [c1, c2] = self.c[channel];
+        // [Goesele 2004, §7.1 m(d)]
         (c1 * (self.lambda[0] * f64::from(d)).exp() + c2 * (self.lambda[1] * f64::from(d)).exp()).max(1e-12) as f32
     }
 
+    /// [Goesele 2004, §7.1 fit]
     fn fit(data: &[([f32; 3], f32)]) -> Option<Self> {
         if data.len() < FEWEST {
             return None;

@@ -1,6 +1,6 @@
 //! The kernels' fall-offs and gains from all measurements that they cover.
 //!
-//! A kernel of a single spot [§7.1] has the noise of that spot; its two exponentials have a cusp where a beam of some width is round;
+//! A kernel of a single spot [Goesele 2004, §7.1] has the noise of that spot; its two exponentials have a cusp where a beam of some width is round;
 //! and a kernel between spots comes from its neighbours. So what the kernels of all spots say is held against what was measured near all spots, as
 //! relighting would show it, and corrected by the ratio of the sums of both: by distance from the spot, the same on the whole object, and by a
 //! gain for each texel that is seen. Gains are smoothed over the surface in favour of those of bright texels. How much the kernels and the gains are smoothed is

@@ -1,4 +1,4 @@
-//! The hierarchical model of an object [Goesele et al. 2004, DISCO]: R_d between the vertices of a mesh (F, global), 7 × 7 kernels on the
+//! The hierarchical model of an object (DISCO) [Goesele 2004, §3.1]: R_d between the vertices of a mesh (F, global), 7 × 7 kernels on the
 //! texels of an atlas (K, local), and a modulation texture (T).
 //!
 //! With E the irradiance that enters, A areas, and ∗ the sum over the 49 texels around, B = T · (F E A, interpolated) + K ∗ E A is the radiosity from

@@ -1,4 +1,4 @@
-//! From frames to measurements on the surface [Goesele 2004, §5, §6.1, §7.1]: all pictures of a laser position are merged over views
+//! From frames to measurements on the surface [Goesele 2004, §5], [Goesele 2004, §6.1], [Goesele 2004, §7.1]: all pictures of a laser position are merged over views
 //! and colours, at the vertices for F and at the texels around the spot for K.
 //!
 //! R_d = π L_o / (F_t(η, ω_o) F_t(η, ω_i) Φ), weighted by the cosines of both directions. Pixels are looked up bilinearly. Left out are samples
@@ -157,6 +157,7 @@ impl Shot {
             let four = [frame[i], frame[i + 1], frame[i + width], frame[i + width + 1]];
             let upper = four[0] + at.fx * (four[1] - four[0]);
             let lower = four[2] + at.fx * (four[3] - four[2]);
+            // [Goesele 2004, Eq. 2]
             out[c] = (upper + at.fy * (lower - upper)) * self.scale[c] * at.inverse;
             if !out[c].is_finite() || four.iter().any(|&v| v >= self.clip[c]) {
                 return None;
@@ -183,7 +184,7 @@ fn clip_level(frame: &[f32], most: f32) -> f32 {
     if many { most } else { f32::INFINITY }
 }
 
-/// For each texel the kernel whose spot is best centred on it.
+/// For each texel the kernel whose spot is best centred on it [Goesele 2004, §7.1].
 pub struct Kernels(pub(super) Vec<Option<Candidate>>);
 
 impl Kernels {
@@ -258,7 +259,7 @@ fn respond(stage: &Stage, beam: usize, colours: &Colours) -> Result<std::result:
     Ok(Ok((Response { vertices, kernels }, clipped)))
 }
 
-/// The light counts for the corners of its triangle by its barycentric coordinates [§6.1].
+/// The light counts for the corners of its triangle by its barycentric coordinates [Goesele 2004, §6.1].
 fn add(stage: &Stage, beam: usize, response: Response, measured: &mut Measured, kernels: &mut [Option<Candidate>]) {
     let beam = &stage.beams[beam];
     for (&corner, weight) in stage.corners(beam.face).iter().zip(beam.weights()).filter(|(_, w)| *w >= LEAST) {

@@ -1,4 +1,4 @@
-//! The split of R_d between F and K [Goesele 2004, §3.1, §7]: within the 7 × 7 texels of a kernel K is what was measured less T times what F
+//! The split of R_d between F and K [Goesele 2004, §3.1]: within the 7 × 7 texels of a kernel K is what was measured less T times what F
 //! gives there, so local and global light together are what was measured.
 //!
 //! Linear interpolation of a matrix with a steep diagonal spreads its peak over the one-ring, also where no kernel reaches to take
@@ -67,7 +67,7 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// Fills texels without kernel from their neighbours on the surface, fall-off and detail together [§7.2]. `None` if there is no
+    /// Fills texels without kernel from their neighbours on the surface, fall-off and detail together [Goesele 2004, §7.2]. `None` if there is no
     /// kernel at all. `strength` is that of a kernel against its neighbours': single spots are noisy.
     pub(super) fn fill(atlas: &Atlas, kernels: &[Option<Candidate>], strength: f32) -> Option<Self> {
         let measured: Vec<&Candidate> = kernels.iter().flatten().collect();
@@ -105,7 +105,7 @@ impl Records {
         let knots: [f32; KNOTS.len()] =
             std::array::from_fn(|k| self.value(texel, channel * KNOTS.len() + k) + self.radial[channel][k]);
         let detail = self.value(texel, 3 * KNOTS.len() + channel * CELLS + cell);
-        (ln_fall_off(&knots, d) - detail + self.gains[texel][channel]).exp() // K = m/C
+        (ln_fall_off(&knots, d) - detail + self.gains[texel][channel]).exp() // K = m/C [Goesele 2004, §7.1]
     }
 
     /// Multiplies the fall-offs at the knots by the first over the second of two sums.
@@ -169,6 +169,7 @@ pub(super) fn kernels(
                 return [f16::ZERO; 3];
             }
             let global = f.between(place(t), place(n));
+            // R_d = F + K, F with its T [Goesele 2004, §3.1].
             std::array::from_fn(|c| f16::from_f32(measured(t, n, cell, d, c) - detail[t][c] * global[c]))
         })
     };

@@ -235,6 +235,7 @@ impl Bssrdf for PlanarMaterial {
         let d = to.p - from.p;
         let around = self.grid.around(from.p.x, from.p.y);
         let value = |&(w, i): &(f32, usize)| if w > 0.0 { w * self.points[i].value(d.x, d.y) } else { Rgb::ZERO };
+        // [Fuchs 2005, Eq. 2]
         around.iter().map(value).sum::<Rgb>() * self.modulation(to.p)
     }
 

@@ -98,6 +98,7 @@ impl Bssrdf for VertexMaterial {
         let r = from.p.distance(to.p);
         let sum: Rgb =
             self.corners(from.face, from.uv).map(|(w, (scale, fall_off))| *scale * (w * fall_off.value(r))).sum();
+        // [Fuchs 2005, Eq. 9]
         sum * self.modulation[self.texels.index(to.face, to.uv.to_array())]
     }
 

@@ -13,7 +13,7 @@ pub struct ErrorMap {
     pub ln: Vec<Vec<f64>>,
 }
 
-/// Means over the lit points. The logarithm of Fuchs' Table 1 has no base: all readings are given.
+/// Means over the lit points. The logarithm of [Fuchs 2005, Table 1] has no base: all readings are given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Mean {
     /// Mean of E(x_i), which is 1 for a perfect model.
@@ -25,7 +25,7 @@ pub struct Mean {
 }
 
 /// The error of each lit point: the root mean square over its held-out samples of ln(α R_d / s)
-/// [Fuchs 2005, Eq. 7 and 8; corrected: log E(x_i) is the RMS of log E(x_i → x_o)].
+/// [Fuchs 2005, Eq. 7], [Fuchs 2005, Eq. 8], corrected: log E(x_i) is the RMS of log E(x_i → x_o).
 ///
 /// # Errors
 /// Those of reading frames.
@@ -37,10 +37,11 @@ pub fn error_map(capture: &PlanarCapture, model: &PlanarModel) -> Result<ErrorMa
                 let values = capture.reflectance(&capture.spots[index], channel)?;
                 let predicted = model.predict(capture, index, channel);
                 let tested = values.iter().zip(&predicted).enumerate();
+                // Below, m/s is E(x_i → x_o) of [Fuchs 2005, Eq. 7]
                 let tested = tested.filter(|(i, (s, m))| held_out(index, *i) && **s > 0.0 && **m > 0.0);
                 let (sum, n) =
                     tested.fold((0.0, 0usize), |(sum, n), (_, (s, m))| (sum + (m / f64::from(*s)).ln().powi(2), n + 1));
-                Ok((sum / n as f64).sqrt()) // NaN without samples
+                Ok((sum / n as f64).sqrt()) // [Fuchs 2005, Eq. 8]; NaN without samples
             })
             .collect()
     };

@@ -54,6 +54,7 @@ impl LitPoint {
         let shared = self.fall_off.len() == 1;
         let curve = self.fall_off[if shared { 0 } else { channel }].evaluator()?;
         let (scale, at) = (self.scale[channel], self.at_mm);
+        // [Fuchs 2005, Eq. 5]
         Some(move |p: [f64; 2]| scale * curve.value(p[0] - at[0], p[1] - at[1]))
     }
 }
@@ -71,6 +72,7 @@ impl PlanarModel {
         let view = capture.spots[spot].frame[0];
         let texture = &self.texture[view][channel];
         match self.points[spot].evaluator(channel) {
+            // [Fuchs 2005, Eq. 2]
             Some(model) => capture.places(view).zip(texture).map(|(p, a)| f64::from(*a) * model(p)).collect(),
             None => vec![0.0; texture.len()],
         }
@@ -118,7 +120,7 @@ fn samples(capture: &PlanarCapture, index: usize, spot: &Spot) -> Result<Vec<Vec
         .collect()
 }
 
-/// One fall-off for all channels: factors by the mean logarithm over pixels that all channels see, a fit to all samples on the
+/// One fall-off for all channels [Fuchs 2005, Eq. 5]: factors by the mean logarithm over pixels that all channels see, a fit to all samples on the
 /// first channel's level, and factors again by the mean logarithm against the fit. `samples` are the same places in each channel. `most` may
 /// come back in the brightest channel, over a plane.
 pub(crate) fn fit_shared(fitter: &mut Fitter, samples: &[Vec<[f32; 3]>], most: Option<f64>) -> (Vec<f64>, PointFit) {
@@ -155,7 +157,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// α(x_o): the mean over x_i of sample/model, for samples of medium intensity.
 ///
-/// [Fuchs 2005, Eq. 6, corrected: the average runs over x_i for a fixed x_o.]
+/// [Fuchs 2005, Eq. 6], corrected: the average runs over x_i for a fixed x_o.
 fn modulate(capture: &PlanarCapture, params: &PlanarParams, model: &mut PlanarModel) -> Result<()> {
     let rig = &capture.capture.rig;
     let pixels = capture.capture.frames.pixels();
@@ -172,6 +174,7 @@ fn modulate(capture: &PlanarCapture, params: &PlanarParams, model: &mut PlanarMo
             let (t2, t1) = (params.texture_range.0 as f32 * faint, params.texture_range.1 as f32 * peak);
             for (i, (value, place)) in values.iter().zip(capture.places(view)).enumerate() {
                 if *value > t2 && *value < t1 && !held_out(index, i) {
+                    // [Fuchs 2005, Eq. 6]
                     sums[view][channel][i] += (f64::from(*value) / curve(place)) as f32;
                     counts[view][channel][i] += 1.0;
                 }

@@ -1,6 +1,6 @@
 //! From the frames of a planar capture to samples of R_d.
 //!
-//! R_d(x_i → x_o) = π L_o / (F_t(η, ω_o) F_t(η, ω_i) Φ) [Goesele 2004, Eq. 2 for a beam of power Φ]. For each pixel the
+//! R_d(x_i → x_o) = π L_o / (F_t(η, ω_o) F_t(η, ω_i) Φ) [Goesele 2004, Eq. 2] for a beam of power Φ. For each pixel the
 //! laser position is taken that is best centred in it [Fuchs 2005, §4.1]; a position that no pixel prefers is left out. Pixels
 //! at or under the noise threshold are no samples.
 
@@ -120,6 +120,7 @@ impl PlanarCapture {
         let floor = (self.threshold * rig.channels[channel].noise_floor) as f32;
         let value = |(l, (at, inverse)): (&f32, &([f64; 2], f64))| {
             let seen = *l > floor && l.is_finite() && at[0].is_finite();
+            // [Goesele 2004, Eq. 2]
             if seen { (f64::from(*l) * scale * inverse) as f32 } else { 0.0 }
         };
         Ok(frame.iter().zip(&self.pixels[spot.frame[0]]).map(value).collect())
@@ -138,6 +139,7 @@ fn select(capture: &Capture) -> Vec<Spot> {
             if !((0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y)) {
                 continue;
             }
+            // [Fuchs 2005, §4.1]
             let off = (x.fract() - 0.5).hypot(y.fract() - 0.5);
             let pixel = &mut best[y as usize * camera.width + x as usize];
             if pixel.is_none_or(|(o, _)| off < o) {

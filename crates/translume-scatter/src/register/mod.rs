@@ -67,7 +67,7 @@ pub struct RegisterReport {
     pub missed: usize,
 }
 
-/// Corrects the cameras, the laser's origins and its hits in `capture.rig`; `progress` is called for each laser position.
+/// Corrects the cameras, the laser's origins and its hits in `capture.rig` [Goesele 2004, §4.4]; `progress` is called for each laser position.
 ///
 /// # Errors
 /// [`Error::Invalid`] where no view sees the mesh, or none that has frames shows an outline or spots; those of reading frames.

@@ -1,4 +1,4 @@
-//! A model seen by a fixed camera under light that moves [Lensch et al. 2003, Goesele 2004 §8].
+//! A model seen by a fixed camera under light that moves [Goesele 2004, §8] [Lensch et al. 2003].
 //!
 //! What the view decides is found once: what its samples see, the rows of F of the vertices in sight (decoded, as 16 bits of a float each), and
 //! the kernels of the texels in sight. For each light, F P is a product with those rows alone, and only with blocks of columns whose
@@ -138,7 +138,7 @@ impl Relighter {
         out
     }
 
-    /// F P at the vertices in sight.
+    /// F P at the vertices in sight [Goesele 2004, §8].
     fn global(&self, power: &[Vec3]) -> Vec<Vec3> {
         let n = self.stride;
         let mut columns = vec![0.0f32; 3 * n];
@@ -163,7 +163,7 @@ impl Relighter {
         self.rows.par_chunks(3 * n).with_min_len(64).map(row).collect()
     }
 
-    /// K ∗ P at the texels in sight.
+    /// K ∗ P at the texels in sight [Goesele 2004, §8].
     fn local(&self, power: &[Vec3]) -> Vec<Vec3> {
         let padded: Vec<Vec4> = power.iter().map(|p| p.extend(0.0)).chain([Vec4::ZERO]).collect();
         let one = |(neighbours, kernel): (&[u32; CELLS], &[Vec4; CELLS])| {

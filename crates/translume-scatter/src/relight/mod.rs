@@ -1,4 +1,4 @@
-//! Models of objects under new light, at interactive rates on the CPU [Goesele 2004, §8; Lensch et al. 2003].
+//! Models of objects under new light, at interactive rates on the CPU [Goesele 2004, §8] [Lensch et al. 2003].
 //!
 //! Light becomes the irradiance that enters the texels of the atlas (shadows by rays, Fresnel's transmittance), that becomes the power at the
 //! vertices, and B = T · (F P) + K ∗ P with powers P = E A. Models with a fall-off by distance are summed over all lit texels instead.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use translume_image::Result;
 
 /// The error of each laser position: the root mean square over its held-out samples, of all views, of ln(α R_d / s)
-/// [Fuchs 2005, Eq. 7 and 8; corrected: log E(x_i) is the RMS of log E(x_i → x_o)].
+/// [Fuchs 2005, Eq. 7], [Fuchs 2005, Eq. 8], corrected: log E(x_i) is the RMS of log E(x_i → x_o).
 ///
 /// # Errors
 /// Those of reading frames.
@@ -21,11 +21,12 @@ pub fn error_map(mesh: &MeshCapture, model: &VertexModel) -> Result<ErrorMap> {
                 let predicted = model.predict(mesh, beam, view, channel);
                 for (i, (s, m)) in values.iter().zip(&predicted).enumerate() {
                     if held_out(beam, i) && *s > 0.0 && *m > 0.0 {
+                        // m/s is E(x_i → x_o) of [Fuchs 2005, Eq. 7].
                         (sum, n) = (sum + (m / f64::from(*s)).ln().powi(2), n + 1);
                     }
                 }
             }
-            Ok((sum / n as f64).sqrt()) // NaN without samples
+            Ok((sum / n as f64).sqrt()) // [Fuchs 2005, Eq. 8]; NaN without samples
         };
         (0..channels).map(one).collect()
     };

@@ -1,4 +1,4 @@
-//! The exponential model of an object of any shape [Fuchs 2005, §5, Eq. 9]: a fall-off for each vertex of its mesh, shared by all
+//! The exponential model of an object of any shape [Fuchs 2005, §5]: a fall-off for each vertex of its mesh, shared by all
 //! channels but for a factor, and a modulation texture.
 //!
 //! Distances are straight through space, as in the paper. Not modelled, and so part of the error: single scattering, light

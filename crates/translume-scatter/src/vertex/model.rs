@@ -80,6 +80,7 @@ pub struct Faults {
 impl Vertex {
     /// R_d at a distance, in a channel, without texture.
     pub fn value(&self, r: f64, channel: usize) -> Option<f64> {
+        // [Fuchs 2005, Eq. 9]
         Some(self.scale[channel] * self.fall_off.value(r, 0.0)?)
     }
 
@@ -100,6 +101,7 @@ impl VertexModel {
             p.map_or(0.0, |p| {
                 let r = norm(sub(p.at, at));
                 let sum: f64 = mix.iter().filter_map(|(v, w)| Some(w * v.value(r, channel)?)).sum();
+                // [Fuchs 2005, Eq. 2]
                 sum * f64::from(self.texture[channel][texels.index(p.face, p.uv)])
             })
         };
@@ -253,7 +255,7 @@ impl Spread {
     }
 }
 
-/// Each vertex gets the fall-off of the nearest stable laser position, if one is in reach.
+/// Each vertex gets the fall-off of the nearest stable laser position, if one is in reach [Fuchs 2005, §5].
 fn assign(mesh: &MeshCapture, params: &VertexParams, stable: &[Option<Found>]) -> Vec<Vertex> {
     let reach = params.reach * spacing(mesh);
     let channels = mesh.capture.rig.channels.len();
@@ -311,7 +313,7 @@ fn modulate(
                     if let Some(p) = pixel.as_ref().filter(|_| *value > t2 && *value < t1 && !held_out(beam, i)) {
                         let expected = scale[channel] * curve.value(norm(sub(p.at, mesh.beams[beam].at)), 0.0);
                         let texel = texels.index(p.face, p.uv);
-                        let ln = (f64::from(*value) / expected).ln();
+                        let ln = (f64::from(*value) / expected).ln(); // [Fuchs 2005, Eq. 6]
                         sums[texel] += ln as f32;
                         counts[texel] += 1.0;
                         squares += ln * ln;

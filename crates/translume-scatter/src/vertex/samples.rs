@@ -1,6 +1,6 @@
 //! From the frames of a mesh's capture to samples of R_d.
 //!
-//! R_d(x_i → x_o) = π L_o / (F_t(η, ω_o) F_t(η, ω_i) Φ) [Goesele 2004, Eq. 2 for a beam of power Φ]. A pixel is a sample where its
+//! R_d(x_i → x_o) = π L_o / (F_t(η, ω_o) F_t(η, ω_i) Φ) [Goesele 2004, Eq. 2] for a beam of power Φ. A pixel is a sample where its
 //! centre sees the mesh at no grazing angle and all its neighbours see the mesh too: at silhouettes a small error of pose or
 //! shape puts the light elsewhere.
 
@@ -135,6 +135,7 @@ impl MeshCapture {
         let scale = beam.gain / drift * rig.channels[channel].white_balance / rig.laser.power[channel];
         let floor = (self.threshold * rig.channels[channel].noise_floor) as f32;
         let value = |(l, pixel): (&f32, &Option<Pixel>)| match pixel {
+            // [Goesele 2004, Eq. 2]
             Some(p) if *l > floor && l.is_finite() => (f64::from(*l) * scale * p.inverse) as f32,
             _ => 0.0,
         };
