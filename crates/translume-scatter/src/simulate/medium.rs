@@ -1,7 +1,7 @@
 //! Heterogeneous media on a grid, and the procedural ones with fixed parameters.
 //!
 //! Scattering is the same for all channels, only absorption has colour: so one random walk serves all of them. The parameters of
-//! the media stand in `docs/scatter.md`; changing them here means changing them there.
+//! the media stand in `docs/scatter-capture.md`; changing them here means changing them there.
 
 use rayon::prelude::*;
 use translume_core::rng::Pcg32;
