@@ -51,11 +51,11 @@ const FILE_CRATES: [&str; 16] = [
 ];
 
 /// A dependency as a crate declares it.
-struct Edge<'a> {
-    from: &'a str,
-    to: &'a str,
+pub(crate) struct Edge<'a> {
+    pub(crate) from: &'a str,
+    pub(crate) to: &'a str,
     /// Not for tests, benchmarks or build scripts alone.
-    ships: bool,
+    pub(crate) ships: bool,
 }
 
 /// Checks the workspace, and that ARCHITECTURE.md has a place for each of its crates.
@@ -78,7 +78,7 @@ pub(crate) fn check() -> Result<(), String> {
     }
 }
 
-fn edges(metadata: &Value) -> Vec<Edge<'_>> {
+pub(crate) fn edges(metadata: &Value) -> Vec<Edge<'_>> {
     let mut edges = Vec::new();
     for package in metadata["packages"].as_array().into_iter().flatten() {
         for dependency in package["dependencies"].as_array().into_iter().flatten() {
@@ -100,7 +100,7 @@ fn left_out(metadata: &Value, map: &str) -> Vec<String> {
         .collect()
 }
 
-fn is_ours(name: &str) -> bool {
+pub(crate) fn is_ours(name: &str) -> bool {
     name == "translume" || name.starts_with("translume-")
 }
 

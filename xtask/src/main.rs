@@ -1,9 +1,13 @@
 //! Chores of the project: `cargo xtask layers`, `cargo xtask equations`, `cargo xtask licences`, `cargo xtask fuzz`,
 //! `cargo xtask same-bits`.
 
+mod allowed;
 mod equations;
+mod inside;
 mod layers;
 mod licences;
+mod modules;
+mod picture;
 mod same_bits;
 mod source;
 mod spdx;
@@ -13,7 +17,8 @@ use std::process::{Command, ExitCode};
 const USAGE: &str = "\
 Usage: cargo xtask CHORE
 
-  layers     check that crates depend only on crates of lower layers
+  layers     check that crates depend only on crates of lower layers, that modules have no circles, that libraries name no
+             options, and that docs/images/layers.svg is not stale; layers --picture draws it
   equations  check that docs/papers.md and the tags of equations in the code agree
   licences   list the licences of all dependencies and check that they are permissive
   fuzz       mutate the files of fuzz/corpus and read them, 60 s long or as long as --seconds says; fuzz help tells more
@@ -22,7 +27,8 @@ Usage: cargo xtask CHORE
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
     let outcome = match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
-        ["layers"] => layers::check(),
+        ["layers"] => layers::check().and_then(|()| inside::check()).and_then(|()| picture::check()),
+        ["layers", "--picture"] => picture::write(),
         ["equations"] => equations::check(),
         ["licences"] => licences::check(),
         ["fuzz", words @ ..] => fuzz(words),

@@ -1,5 +1,6 @@
 //! The Rust files of the workspace's crates, and what is where in them.
 
+use proc_macro2::{TokenStream, TokenTree};
 use std::path::{Path, PathBuf};
 use syn::spanned::Spanned;
 
@@ -53,6 +54,56 @@ pub(crate) fn is_test(attributes: &[syn::Attribute]) -> bool {
         a.path().is_ident("test")
             || a.path().is_ident("cfg") && a.parse_args::<syn::Ident>().is_ok_and(|word| word == "test")
     })
+}
+
+/// Paths of two and more words among tokens, as they stand in the arguments of a macro.
+pub(crate) fn paths_in(tokens: TokenStream, found: &mut Vec<Vec<String>>) {
+    let mut path: Vec<String> = Vec::new();
+    // Colons since the last word.
+    let mut colons = 0;
+    let mut end = |path: &mut Vec<String>| {
+        let done = std::mem::take(path);
+        if done.len() > 1 {
+            found.push(done);
+        }
+    };
+    let mut groups = Vec::new();
+    for token in tokens {
+        match token {
+            TokenTree::Ident(word) => {
+                if colons != 2 {
+                    end(&mut path);
+                }
+                path.push(word.to_string());
+                colons = 0;
+            }
+            TokenTree::Punct(p) if p.as_char() == ':' => colons += 1,
+            other => {
+                end(&mut path);
+                colons = 0;
+                if let TokenTree::Group(group) = other {
+                    groups.push(group.stream());
+                }
+            }
+        }
+    }
+    end(&mut path);
+    groups.into_iter().for_each(|group| paths_in(group, found));
+}
+
+/// String literals among tokens, with their lines.
+pub(crate) fn texts_in(tokens: TokenStream, found: &mut Vec<(usize, String)>) {
+    for token in tokens {
+        match token {
+            TokenTree::Group(group) => texts_in(group.stream(), found),
+            TokenTree::Literal(literal) => {
+                if let syn::Lit::Str(text) = syn::Lit::new(literal) {
+                    found.push((text.span().start().line, text.value()));
+                }
+            }
+            _ => {}
+        }
+    }
 }
 
 /// The items of a file, without those for tests.
@@ -123,6 +174,14 @@ fn type_name(of: &syn::Type) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn paths_are_found_among_the_tokens_of_macros() {
+        let mut found = Vec::new();
+        paths_in("\"{}\", a::b, (crate::c::D { e: f }, g), x: y, ::std::z".parse().unwrap(), &mut found);
+        let joined: Vec<_> = found.iter().map(|p| p.join("::")).collect();
+        assert_eq!(joined, ["a::b", "std::z", "crate::c::D"]);
+    }
 
     #[test]
     fn items_reach_from_their_documentation_to_their_end() {

@@ -218,7 +218,7 @@ fn agree(path: &Path, found: &Header, wanted: &Header) -> Result<()> {
         let (had, has) = (&found.seed, &wanted.seed);
         return Err(mismatch(
             path,
-            &format!("it was begun with --seed {had}, not {has}; a resumed render keeps its seed"),
+            &format!("it was begun with seed {had}, not {has}; a resumed render keeps its seed"),
         ));
     }
     let same_size = [found.width, found.height] == [wanted.width, wanted.height];
@@ -227,7 +227,7 @@ fn agree(path: &Path, found: &Header, wanted: &Header) -> Result<()> {
         return Err(mismatch(path, &format!("it holds {w} × {h} pixels or other feature images than this render")));
     }
     if found.fingerprint != wanted.fingerprint {
-        return Err(mismatch(path, "it belongs to another scene or other settings; render anew without --resume"));
+        return Err(mismatch(path, "it belongs to another scene or other settings: it cannot be resumed"));
     }
     if found.apron != wanted.apron {
         return Err(mismatch(path, "its tiles have aprons, which this program does not know"));

@@ -197,7 +197,7 @@ fn a_resumed_render_ends_in_the_same_bits() {
 
     // Another seed, another scene, other features, and damage are refused.
     let other = checkpoint::Identity { seed: 17, ..identity };
-    assert!(checkpoint::read(&path, &mut empty(), &other).unwrap_err().to_string().contains("--seed"));
+    assert!(checkpoint::read(&path, &mut empty(), &other).unwrap_err().to_string().contains("begun with seed"));
     let mut changed = scene.clone();
     changed.shapes[0].world_from_object.translation.z += 1.0;
     let other = checkpoint::Identity { fingerprint: fingerprint(&changed, "x"), ..identity };

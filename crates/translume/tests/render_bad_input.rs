@@ -193,7 +193,7 @@ fn checkpoints_of_something_else() {
         std::fs::write(dir.path().join("bad.tlck"), bytes).unwrap();
         fails(dir.path(), &go_on("s.xml", "bad.tlck", &[]), 1, &["bad.tlck", mark]);
     }
-    fails(dir.path(), &go_on("s.xml", "c.tlck", &["--seed", "5"]), 1, &["c.tlck", "--seed 0"]);
+    fails(dir.path(), &go_on("s.xml", "c.tlck", &["--seed", "5"]), 1, &["c.tlck", "seed 0"]);
     fails(dir.path(), &go_on("s.xml", "c.tlck", &["--size", "16x16"]), 1, &["c.tlck", "8 × 8"]);
     fails(dir.path(), &go_on("s.xml", "c.tlck", &["--aov", "depth"]), 1, &["c.tlck", "feature images"]);
     fails(dir.path(), &go_on("other.xml", "c.tlck", &[]), 1, &["c.tlck", "another scene"]);

@@ -85,7 +85,7 @@ pub fn fit_hierarchical(
 ) -> Result<(Hierarchical, Told)> {
     let (measured, candidates) = resample(&mut stage, || progress(Step::Resampled))?;
     let nothing = || {
-        Error::invalid(&stage.capture.path, "no laser position has pixels above the noise; is --threshold too high?")
+        Error::invalid(&stage.capture.path, "no laser position has pixels above the noise; is the threshold too high?")
     };
     let mesh = (*stage.surface.mesh).clone();
     let (mut throughput, completion) =
