@@ -24,6 +24,7 @@ mod material;
 mod medium;
 pub mod merge;
 pub mod photons;
+mod points;
 pub mod render;
 mod sampler;
 pub mod splat;

@@ -1,8 +1,11 @@
 //! The methods of light transport, one file each, and the one table of their names.
 
+mod arrival;
 mod bdpt;
 mod direct;
+mod footprints;
 pub mod gkernel;
+pub mod gkernel_2003;
 mod nearest;
 mod path;
 mod photonmap;
@@ -23,6 +26,7 @@ use translume_trace::Ray;
 
 pub use bdpt::Bdpt;
 pub use gkernel::GKernel;
+pub use gkernel_2003::GKernel2003;
 pub use nearest::{Likeness, Nearest, nearest};
 pub use path::Path;
 pub use photonmap::PhotonMapping;
@@ -233,7 +237,7 @@ pub struct Entry {
 }
 
 /// All methods.
-pub const INTEGRATORS: [Entry; 5] = [
+pub const INTEGRATORS: [Entry; 6] = [
     Entry {
         name: "path",
         about: "path tracing with emitter sampling; media are not seen",
@@ -268,6 +272,12 @@ pub const INTEGRATORS: [Entry; 5] = [
         about: "the generalized kernel method, for many lights (nearly unbiased); no media",
         options: &gkernel::OPTIONS,
         make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
+    },
+    Entry {
+        name: "gkernel-2003",
+        about: "the generalized kernel method as Bekaert et al. published it in 2003 (biased); no media",
+        options: &gkernel_2003::OPTIONS,
+        make: |settings, options| Ok(Box::new(GKernel2003::new(settings, options)?)),
     },
 ];
 

@@ -12,8 +12,10 @@
 //!
 //! Roulette is not part of it: a link divides by the chance that its own light path had. A trial passes masks straight by chance, as walks do.
 
+use super::super::arrival::{Arrival, IncidentFrom};
+use super::super::footprints::Link;
 use super::light::LEAST_COS;
-use super::link::{Arrival, Link, Linker, Parent};
+use super::link::{Linker, Parent};
 use super::{eye::EyeVertex, light::LightVertex};
 use crate::PathSampler;
 use crate::light::End;
@@ -56,7 +58,7 @@ impl Linker<'_> {
         let mut hits = |ray: Ray, pdf: f32, u: f32| {
             self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let reach = self.reach(v, t);
-                let across = if matches!(reach, super::light::Reach::Parallel(_)) { 1.0 } else { t * t };
+                let across = if matches!(reach, IncidentFrom::Direction(_)) { 1.0 } else { t * t };
                 let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
                 u < self.kernel(point.p.distance_squared(center), radius)
             })

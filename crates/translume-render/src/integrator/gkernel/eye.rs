@@ -2,8 +2,8 @@
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
+use super::super::arrival::IncidentFrom;
 use super::correlation::{Ancestor, Node, Technique, Whole};
-use super::light::Reach;
 use super::share::{self, Group, Onward, Receiver, Share};
 use super::weight::{Landing, Way, Weighing};
 use super::{Block, Plan};
@@ -54,7 +54,7 @@ impl EyeVertex<'_> {
     #[inline]
     pub(crate) fn nearer(&self, weighing: &Weighing, onto: f32, pdf_to_camera: f32) -> f32 {
         let back = pdf_to_camera * self.back;
-        let at = weighing.landing(back, Reach::Distance(self.distance));
+        let at = weighing.landing(back, IncidentFrom::Point(self.distance));
         weighing.times(onto / self.pdf, weighing.add(self.way, at, back / self.before, self.behind))
     }
 
@@ -69,7 +69,7 @@ impl EyeVertex<'_> {
         whole.nodes.push(Node { light: onto, camera: self.pdf, made, delta: false });
         if self.depth > 0 {
             let light = pdf_to_camera * self.back;
-            let made = weighing.made(self.way, weighing.landing(light, Reach::Distance(self.distance)));
+            let made = weighing.made(self.way, weighing.landing(light, IncidentFrom::Point(self.distance)));
             whole.nodes.push(Node { light, camera: self.before, made, delta: self.way == Way::Closed });
             whole.ascend(ancestors, self.above);
         }
@@ -291,7 +291,7 @@ impl<'a> Eye<'a> {
     /// The vertex before `v`, where the light's walk comes from there.
     fn before(&self, path: &[Vertex], v: &Vertex) -> Option<Node> {
         let parent = path.get(v.parent as usize)?;
-        let at = self.plan.weighing.landing(parent.pdf_back, Reach::Distance(between(parent, &v.hit)));
+        let at = self.plan.weighing.landing(parent.pdf_back, IncidentFrom::Point(between(parent, &v.hit)));
         let made = self.plan.weighing.made(Way::of(parent.delta, v.delta), at);
         Some(Node { light: parent.pdf_back, camera: parent.pdf, made, delta: parent.delta })
     }
@@ -342,7 +342,7 @@ impl<'a> Eye<'a> {
         let met = if sample.delta { 0.0 } else { per_point(here.pdf_to_light) };
         let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
         let onto_y = Density::from_light(&point, next).at(p, y.hit.n(), sample.wi);
-        let at = weighing.landing(onto_y, Reach::from_light(&point, next, distance));
+        let at = weighing.landing(onto_y, IncidentFrom::light(&point, next, distance));
         let weight = if weighing.alike > 0.0 {
             let extended = matches!(sample.end, End::Surface(_));
             let mut whole = Whole::from_light(begin, met, extended, own);
@@ -363,7 +363,7 @@ impl<'a> Eye<'a> {
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.seen_n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
         let back = next * onto(v.hit.point.p, parent, v.hit.wo);
-        let at = self.plan.weighing.landing(back, Reach::Distance(between(parent, &v.hit)));
+        let at = self.plan.weighing.landing(back, IncidentFrom::Point(between(parent, &v.hit)));
         let direct = match parent.delta {
             false if self.plan.weighing.emitters > 0.0 => {
                 let samples = emitter_samples(self.world, depth - 1) as f32;
@@ -409,7 +409,7 @@ impl<'a> Eye<'a> {
             let point = LightPoint { light: far.light, p: Vec3::ZERO, n: Vec3::ZERO, far: true };
             let (begin, next) = lights.pdf_start(self.plan.starts, &point, -escape.d);
             let back = Density::Parallel(next).at(parent.hit.point.p, parent.hit.n(), escape.d);
-            let at = self.plan.weighing.landing(back, Reach::Parallel(next));
+            let at = self.plan.weighing.landing(back, IncidentFrom::Direction(next));
             let direct = if parent.delta { 0.0 } else { emitter_samples(self.world, depth) as f32 * far.pdf_w };
             far.radiance
                 * self.met((begin, escape.pdf_w, direct), (false, depth == 0), (parent, back, at), (behind, above))

@@ -5,11 +5,13 @@
 //! parent may be made (the parent scatters in more than single directions) and whether the surface around it is flat as
 //! far as such links reach, which is what the disc of §3 takes for granted.
 
+use super::super::arrival::IncidentFrom;
+use super::super::footprints::{self, Footprint};
 use super::Plan;
 use super::correlation::Node;
 use super::keep::Keep;
 use super::weight::{Landing, Way};
-use crate::light::{End, LightPoint, LightStart};
+use crate::light::{End, LightStart};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
@@ -18,7 +20,6 @@ use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::frame::Frame;
-use translume_core::morton;
 use translume_core::sampler::Sampler;
 use translume_trace::Ray;
 
@@ -45,37 +46,20 @@ pub(crate) const LEAST_COS: f32 = 0.2;
 impl Bandwidth {
     /// Eq. 7: of a vertex of density `pdf` per area, in this `reach` of a parent with the footprint `before` (`None`: a light).
     #[inline]
-    pub(crate) fn radius(&self, pdf: f32, reach: Reach, before: Option<f32>) -> f32 {
+    pub(crate) fn radius(&self, pdf: f32, reach: IncidentFrom, before: Option<f32>) -> f32 {
         let h = self.h[usize::from(before.is_some())];
         if self.grow {
             return h / pdf.sqrt() + before.unwrap_or(0.0);
         }
         match reach {
-            Reach::Distance(d) => (d * (h / (pdf * d * d).max(self.least).sqrt()).min(self.share)).min(self.most),
-            Reach::Parallel(across) => (h / pdf.max(LEAST_COS * across).sqrt()).min(self.most),
+            IncidentFrom::Point(d) => (d * (h / (pdf * d * d).max(self.least).sqrt()).min(self.share)).min(self.most),
+            IncidentFrom::Direction(across) => (h / pdf.max(LEAST_COS * across).sqrt()).min(self.most),
         }
     }
 
     /// The largest radius over the distance, and the largest of parallel light of density `across`.
     pub(crate) fn bound(&self, first: bool) -> f32 {
         (self.h[usize::from(!first)] / self.least.sqrt()).min(self.share)
-    }
-}
-
-/// Where light comes from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Reach {
-    /// From a point this far away.
-    Distance(f32),
-    /// From a direction, with this density per area across it.
-    Parallel(f32),
-}
-
-impl Reach {
-    /// Of what is this far from the light's `point`, by the second density of [`crate::light::Lights::pdf_start`].
-    #[inline]
-    pub(crate) fn from_light(point: &LightPoint, next: f32, distance: f32) -> Self {
-        if point.far { Self::Parallel(next) } else { Self::Distance(distance) }
     }
 }
 
@@ -178,15 +162,6 @@ impl Brief {
         let printed = 1.0 / (area * v.cos());
         Self { wo: v.hit.wo, gain, printed, at: v.landing(), back: v.back, behind: v.behind, direct: v.direct, way }
     }
-}
-
-/// Around a light vertex, to look for camera vertices.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Footprint {
-    pub(crate) p: Vec3,
-    pub(crate) radius: f32,
-    /// Number of the vertex.
-    pub(crate) light: u32,
 }
 
 /// All light paths of a step.
@@ -307,7 +282,7 @@ impl LightPaths {
             Some(parent) => {
                 let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n(), wo);
                 let before = self.vertices[base + v.parent as usize].radius;
-                (Reach::Distance((p - parent.hit.point.p).length()), Some(before), one / parent.pdf)
+                (IncidentFrom::Point((p - parent.hit.point.p).length()), Some(before), one / parent.pdf)
             }
             None => {
                 let distance = (p - point.p).length();
@@ -418,7 +393,7 @@ impl LightPaths {
                 (reach(&self.starts[v.parent as usize], v.hit.point.p), None)
             } else {
                 let parent = &self.vertices[v.parent as usize];
-                (Reach::Distance((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
+                (IncidentFrom::Point((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
             };
             self.vertices[i].radius = match v.way() {
                 Way::Link => bandwidth.radius(v.pdf, reach, before),
@@ -432,8 +407,7 @@ impl LightPaths {
     pub(crate) fn footprints(&self) -> Vec<Footprint> {
         let open = (0..).zip(&self.vertices).filter(|(_, v)| v.way() != Way::Closed);
         let all: Vec<_> = open.map(|(light, v)| Footprint { p: v.hit.point.p, radius: v.radius, light }).collect();
-        let places: Vec<Vec3> = all.iter().map(|f| f.p).collect();
-        morton::order(&places).into_iter().map(|i| all[i as usize]).collect()
+        footprints::sorted(&all)
     }
 
     /// Median of 1/p over the vertices that come straight from lights.
@@ -445,9 +419,9 @@ impl LightPaths {
 }
 
 /// From `start` to `p`.
-fn reach(start: &LightStart, p: Vec3) -> Reach {
+fn reach(start: &LightStart, p: Vec3) -> IncidentFrom {
     let point = start.point();
-    Reach::from_light(&point, start.pdf_next(), (p - point.p).length())
+    IncidentFrom::light(&point, start.pdf_next(), (p - point.p).length())
 }
 
 /// Rays around a vertex.

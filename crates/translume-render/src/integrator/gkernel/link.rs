@@ -9,14 +9,16 @@
 //! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
 //! [`Linker::share`].
 
+use super::super::arrival::{Arrival, IncidentFrom};
+use super::super::footprints::{self, Candidates, Link};
 use super::Plan;
 use super::correlation::{Ancestor, Node, Technique, Whole};
 use super::eye::{EyeVertex, emitter_samples};
-use super::light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Reach};
+use super::light::{Bandwidth, Brief, LightPaths, LightVertex};
 use super::method::Normalise;
-use super::points::Points;
 use super::weight::Way;
 use crate::light::{End, LightStart};
+use crate::points::Points;
 use crate::subpath::{Scattering, scattering};
 use crate::world::{MOST_CROSSINGS, Shading, World};
 use crate::{PathSampler, Rgb};
@@ -29,106 +31,43 @@ use translume_core::frame::Frame;
 use translume_core::sampler::Sampler;
 use translume_core::warp;
 
-/// A pair that is to be connected.
-#[derive(Clone, Copy)]
-pub(crate) struct Link {
-    pub(crate) light: u32,
-    pub(crate) eye: u32,
-    /// Times selected over the expected number.
-    weight: f32,
-}
-
-/// Light vertices by camera vertex.
-pub(crate) struct Candidates {
-    begins: Vec<u32>,
-    lights: Vec<u32>,
-}
-
-/// Light vertices that one task asks for.
-const CHUNK: usize = 2048;
-
-impl Candidates {
-    /// All pairs of a camera vertex in a light vertex's footprint; `tree` has the camera vertices ([`tree`]).
-    pub(crate) fn find(footprints: &[Footprint], tree: &Points, eyes: usize) -> Self {
-        let found: Vec<Vec<(u32, u32)>> = footprints
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                let mut pairs = Vec::new();
-                tree.within_all(chunk, |f| (f.p, f.radius), |f, eye| pairs.push((eye, f.light)));
-                pairs
-            })
-            .collect();
-        let mut begins = vec![0_u32; eyes + 1];
-        found.iter().flatten().for_each(|(eye, _)| begins[*eye as usize + 1] += 1);
-        (0..eyes).for_each(|i| begins[i + 1] += begins[i]);
-        let mut next = begins.clone();
-        let mut sorted = vec![0; begins[eyes] as usize];
-        for (eye, light) in found.into_iter().flatten() {
-            let slot = &mut next[eye as usize];
-            sorted[*slot as usize] = light;
-            *slot += 1;
-        }
-        Self { begins, lights: sorted }
-    }
-
-    /// How many there are.
-    pub(crate) fn len(&self) -> usize {
-        self.lights.len()
-    }
-
-    /// Those of camera vertex `eye`.
-    pub(crate) fn of(&self, eye: usize) -> &[u32] {
-        &self.lights[self.begins[eye] as usize..self.begins[eye + 1] as usize]
-    }
-
-    /// Trial links in the order of light vertices. Every group of camera vertices (their numbers) shares those it asks for;
-    /// `wanted` is their number of a group that begins with this vertex, `strength` how likely a candidate is taken.
-    pub(crate) fn select(
-        &self,
-        eyes: &[EyeVertex],
-        groups: &[Range<usize>],
-        (seed, step): (u64, u64),
-        wanted: impl Fn(usize) -> f32 + Sync,
-        strength: impl Fn(u32, &EyeVertex) -> f32 + Sync,
-    ) -> Vec<Link> {
-        let mut links: Vec<Link> = groups
-            .par_iter()
-            .fold(Vec::new, |mut links, group| {
-                let own = &self.lights[self.begins[group.start] as usize..self.begins[group.end] as usize];
-                let eye_of = |i: usize| std::iter::repeat_n(i, self.of(i).len());
-                let pairs = own.iter().zip(group.clone().flat_map(eye_of));
-                let n = wanted(group.start);
-                if own.len() as f32 <= n {
-                    links.extend(pairs.map(|(light, eye)| Link { light: *light, eye: eye as u32, weight: 1.0 }));
-                    return links;
-                }
-                let strengths: Vec<f32> = pairs.clone().map(|(l, eye)| strength(*l, &eyes[eye])).collect();
-                let sum: f64 = strengths.iter().map(|s| f64::from(*s)).sum();
-                let u = PathSampler::new(seed ^ 0x6c69_6e6b, step << 32 | group.start as u64, 0).next_1d();
-                let (mut passed, mut taken) = (f64::from(u), 0.0);
-                for ((light, eye), s) in pairs.zip(strengths) {
-                    let expected = f64::from(n) * f64::from(s) / sum;
-                    passed += expected;
-                    let times = passed.floor() - taken;
-                    taken = passed.floor();
-                    if times > 0.0 {
-                        links.push(Link { light: *light, eye: eye as u32, weight: (times / expected) as f32 });
-                    }
-                }
-                links
-            })
-            .reduce(Vec::new, |mut a, b| {
-                a.extend(b);
-                a
-            });
-        links.par_sort_unstable_by_key(|l| (l.light, l.eye));
-        links
-    }
+/// Trial links in the order of light vertices. Every group of camera vertices (their numbers) shares those it asks for;
+/// `wanted` is their number of a group that begins with this vertex, `strength` how likely a candidate is taken.
+pub(crate) fn select(
+    candidates: &Candidates,
+    eyes: &[EyeVertex],
+    groups: &[Range<usize>],
+    (seed, step): (u64, u64),
+    wanted: impl Fn(usize) -> f32 + Sync,
+    strength: impl Fn(u32, &EyeVertex) -> f32 + Sync,
+) -> Vec<Link> {
+    let mut links: Vec<Link> = groups
+        .par_iter()
+        .fold(Vec::new, |mut links, group| {
+            let pairs: Vec<(u32, usize)> =
+                group.clone().flat_map(|eye| candidates.of(eye).iter().map(move |light| (*light, eye))).collect();
+            let n = wanted(group.start);
+            let link = |(light, eye): (u32, usize), weight| Link { light, eye: eye as u32, weight };
+            if pairs.len() as f32 <= n {
+                links.extend(pairs.into_iter().map(|pair| link(pair, 1.0)));
+                return links;
+            }
+            let strengths: Vec<f32> = pairs.iter().map(|(light, eye)| strength(*light, &eyes[*eye])).collect();
+            let u = PathSampler::new(seed ^ 0x6c69_6e6b, step << 32 | group.start as u64, 0).next_1d();
+            footprints::choose(&strengths, n, u, |i, weight| links.push(link(pairs[i], weight)));
+            links
+        })
+        .reduce(Vec::new, |mut a, b| {
+            a.extend(b);
+            a
+        });
+    links.par_sort_unstable_by_key(|l| (l.light, l.eye));
+    links
 }
 
 /// Camera vertices for [`Candidates::find`].
 pub(crate) fn tree(eyes: &[EyeVertex]) -> Points {
-    Points::new(eyes.iter().enumerate().map(|(i, e)| (e.hit.point.p, i as u32)).collect())
+    footprints::tree(eyes.iter().map(|e| e.hit.point.p))
 }
 
 /// How many pairs there are, of light vertices that come straight from lights and of all others.
@@ -179,20 +118,6 @@ struct Common<'a> {
     /// Whether the surface around it is flat as far as points that link here would also link to neighbours; found out by
     /// the first link that wants to know.
     flat: Option<bool>,
-}
-
-/// Light from the parent to y, before the kernel.
-pub(super) struct Arrival {
-    /// Unit direction from y to the parent.
-    pub(super) wi: Vec3,
-    /// Flux over densities, the direction's included, towards y; of far lights likewise.
-    value: Rgb,
-    /// Density per area across the light at y; the kernel's area times this normalises.
-    pub(super) pdf_across: f32,
-    reach: Reach,
-    /// cos at the parent over the squared distance: density of the parent's place by a walk from y, per direction's.
-    onto_parent: f32,
-    at_parent: Option<Scattering>,
 }
 
 /// Largest answer of [`Linker::share`]: beyond, little light is lost and much noise spared.
@@ -259,14 +184,14 @@ impl<'a> Linker<'a> {
 
     /// Where the light at `v` comes from, a hit at ray parameter `t`.
     #[inline]
-    pub(super) fn reach(&self, v: &LightVertex, t: f32) -> Reach {
+    pub(super) fn reach(&self, v: &LightVertex, t: f32) -> IncidentFrom {
         if v.first() {
             let start = &self.lights.starts[v.parent as usize];
             if matches!(start.origin, End::Far) {
-                return Reach::Parallel(start.pdf_next());
+                return IncidentFrom::Direction(start.pdf_next());
             }
         }
-        Reach::Distance(t)
+        IncidentFrom::Point(t)
     }
 
     /// The kernel at this squared distance from a footprint's middle: 1, or Epanechnikov's.
@@ -361,49 +286,8 @@ impl<'a> Linker<'a> {
 
     fn arrival(&self, parent: &Parent, y: Vec3) -> Option<Arrival> {
         match parent {
-            Parent::Start(start) => {
-                let point = start.point();
-                if point.far {
-                    let value = start.radiance / start.pdf_begin();
-                    let (wi, pdf_across) = (-start.direction, start.pdf_next());
-                    return Some(Arrival {
-                        wi,
-                        value: value / pdf_across,
-                        pdf_across,
-                        reach: Reach::Parallel(pdf_across),
-                        onto_parent: 1.0,
-                        at_parent: None,
-                    });
-                }
-                let (wi, distance) = toward(y, start.p)?;
-                let (_, pdf_w) = self.world.lights().pdf_start(self.plan.starts, &point, -wi);
-                let radiance = self.world.lights().emitted(self.world.scene(), start, -wi);
-                let cos = if point.n == Vec3::ZERO { 1.0 } else { point.n.dot(-wi) };
-                if pdf_w <= 0.0 || cos <= 0.0 || radiance == Rgb::ZERO {
-                    return None;
-                }
-                let value = radiance * (cos / (start.pdf_begin() * pdf_w));
-                let onto_parent = point.from_solid_angle(1.0, wi, distance);
-                let (pdf_across, reach) = (pdf_w / (distance * distance), Reach::Distance(distance));
-                Some(Arrival { wi, value, pdf_across, reach, onto_parent, at_parent: None })
-            }
-            Parent::Vertex(p, shading) => {
-                let (wi, distance) = toward(y, p.hit.point.p)?;
-                let there = scattering(self.world, &p.hit, shading, p.hit.wo, -wi)?;
-                if there.pdf_to_camera <= 0.0 {
-                    return None;
-                }
-                let cos = p.hit.n().dot(wi).abs();
-                let across = 1.0 / (distance * distance);
-                Some(Arrival {
-                    wi,
-                    value: p.throughput * there.f * (cos / there.pdf_to_camera),
-                    pdf_across: there.pdf_to_camera * across,
-                    reach: Reach::Distance(distance),
-                    onto_parent: cos * across,
-                    at_parent: Some(there),
-                })
-            }
+            Parent::Start(start) => Arrival::from_light(self.world, self.plan.starts, start, y),
+            Parent::Vertex(p, shading) => Arrival::from_surface(self.world, (&p.hit, shading), p.throughput, y),
         }
     }
 
@@ -481,7 +365,7 @@ impl<'a> Linker<'a> {
         ancestors: &[Ancestor],
     ) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let at = self.plan.weighing.landing(onto_y, arrival.reach);
+        let at = self.plan.weighing.landing(onto_y, arrival.from);
         let parent_pdf = here.pdf_to_light * arrival.onto_parent * times;
         if self.plan.weighing.alike > 0.0 {
             let mut whole = self.through(parent, arrival, y, parent_pdf);
@@ -559,10 +443,4 @@ impl<'a> Linker<'a> {
 fn begun(start: &LightStart, camera: f32, direct: f32) -> Whole {
     let camera = if start.delta { 0.0 } else { camera };
     Whole::from_light(start.pdf_begin(), camera, matches!(start.origin, End::Surface(_)), direct)
-}
-
-fn toward(from: Vec3, to: Vec3) -> Option<(Vec3, f32)> {
-    let way = to - from;
-    let distance = way.length();
-    (distance > 0.0).then(|| (way / distance, distance))
 }

@@ -27,10 +27,10 @@ mod link;
 mod method;
 mod pilot;
 mod pixels;
-mod points;
 mod share;
 mod weight;
 
+use super::footprints::{Candidates, Footprint};
 use super::{Integrator, Options, Settings};
 use crate::film::{Film, Tile};
 use crate::light::{Seen, Starts};
@@ -41,8 +41,8 @@ use crate::{Result, Rgb};
 use correlation::Ancestor;
 use eye::EyeVertex;
 use keep::Keep;
-use light::{Bandwidth, Brief, Footprint, LightPaths, LightVertex, Request};
-use link::{Candidates, Linker};
+use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
+use link::Linker;
 use method::Method;
 pub(crate) use method::OPTIONS;
 use pilot::{Outlook, Pilot};
@@ -369,7 +369,7 @@ impl GKernel {
         }
         let candidates = Candidates::find(&traced.footprints, &link::tree(&eyes), eyes.len());
         let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.briefs[light as usize], eye);
-        let links = candidates.select(&eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
+        let links = link::select(&candidates, &eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes, &ancestors);
         let mut unoccluded = 0;
         for (link, score) in links.iter().zip(scores) {

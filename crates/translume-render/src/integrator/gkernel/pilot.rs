@@ -5,11 +5,12 @@
 //! unoccluded links). The lights' part is not in the paper: a lamp's chance follows what it brings to the picture, mixed
 //! with its power so that none is forgotten.
 
+use super::super::footprints::Candidates;
 use super::correlation::{self, Ancestor};
 use super::eye::EyeVertex;
 use super::keep::Keep;
 use super::light::{Brief, LightPaths, Request};
-use super::link::{self, Candidates};
+use super::link;
 use super::weight::Weighing;
 use super::{Block, FEWEST_PATHS, GKernel, MOST_TRIALS, Plan};
 use crate::film::Film;
@@ -199,7 +200,7 @@ impl GKernel {
         let strength =
             |light: u32, eye: &EyeVertex| self.strength(&linker, &Brief::new(&lights.vertices[light as usize]), eye);
         let trials = |_| 3.0 * self.links;
-        let links = candidates.select(eyes, &self.groups(eyes), (shot.seed, STEP), trials, strength);
+        let links = link::select(&candidates, eyes, &self.groups(eyes), (shot.seed, STEP), trials, strength);
         // One link seen and one not for a start: what is not known is asked for moderately.
         let mut tiles = vec![(1.0_f32, 2.0_f32); flock.tiles];
         let mut depths = [(1.0_f32, 2.0_f32); DEPTHS];

@@ -19,7 +19,8 @@
 //! That merges at a vertex share the camera's path to it is an option: see `correlation`. What paths of a group have in common is always
 //! known: see `share`.
 
-use super::light::{LEAST_COS, Reach};
+use super::super::arrival::IncidentFrom;
+use super::light::LEAST_COS;
 
 /// How merges are weighed.
 #[derive(Clone, Copy, Debug)]
@@ -74,10 +75,10 @@ impl Way {
 impl Weighing {
     /// Where the light's walk has density `pdf` per area, in this `reach` of the vertex before.
     #[inline]
-    pub(crate) fn landing(&self, pdf: f32, reach: Reach) -> Landing {
+    pub(crate) fn landing(&self, pdf: f32, reach: IncidentFrom) -> Landing {
         let chance = match reach {
-            Reach::Distance(d) => pdf * d * d / self.least,
-            Reach::Parallel(across) => pdf / (LEAST_COS * across),
+            IncidentFrom::Point(d) => pdf * d * d / self.least,
+            IncidentFrom::Direction(across) => pdf / (LEAST_COS * across),
         };
         Landing { pdf, chance: if self.least > 0.0 { chance.min(1.0) } else { 1.0 } }
     }
