@@ -66,18 +66,14 @@ pub(crate) const CIRCLES: &[(&str, &[&str])] = &[
             "skin",
         ],
     ),
-    ("translume-field", &["lights", "listed"]),
     ("translume-field", &["lines", "texture", "tiles"]),
-    ("translume-field", &["matrix", "measure", "pca"]),
-    ("translume-hdr", &["align", "clip", "exposure", "ghost", "order", "sampling", "warp"]),
     ("translume-image", &["codes", "icc", "linear", "picture", "primaries", "raster"]),
-    ("translume-image", &["formats::exr_chroma", "formats::exr_read"]),
-    ("translume-mesh", &["files", "gltf", "gltf::accessor", "obj", "off", "ply", "serialized", "stl"]),
     (
         "translume-render",
         &[
             "camera",
             "integrator",
+            "integrator::arrival",
             "integrator::bdpt",
             "integrator::direct",
             "integrator::gkernel",
@@ -90,6 +86,9 @@ pub(crate) const CIRCLES: &[(&str, &[&str])] = &[
             "integrator::gkernel::pilot",
             "integrator::gkernel::share",
             "integrator::gkernel::weight",
+            "integrator::gkernel_2003",
+            "integrator::gkernel_2003::calibration",
+            "integrator::gkernel_2003::walks",
             "integrator::path",
             "integrator::photonmap",
             "integrator::volpath",
@@ -116,7 +115,7 @@ pub(crate) const CIRCLES: &[(&str, &[&str])] = &[
 /// Command-line options that a file of a library names.
 pub(crate) const OPTIONS: &[(&str, &str)] = &[
     ("translume-field/src/lights.rs", "--lights"),
-    ("translume-hdr/src/exposure.rs", "--exposures"),
+    ("translume-hdr/src/bracket.rs", "--exposures"),
     ("translume-hdr/src/grouping.rs", "--group"),
     ("translume-hdr/src/lib.rs", "--anchor"),
     ("translume-hdr/src/response.rs", "--linear"),

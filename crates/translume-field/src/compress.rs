@@ -6,7 +6,7 @@ use crate::field::{Angular, Field, Model};
 use crate::file;
 use crate::layers::{self, Plan};
 use crate::matrix::{self, Matrix};
-use crate::memory::{Demand, Shares};
+use crate::memory::{Demand, Limits, Shares};
 use crate::pca;
 use crate::planes::Planes;
 use crate::sphere::{Kernel, points};
@@ -212,7 +212,13 @@ pub fn compress(stack: &mut Stack, params: &Params, progress: &(dyn Fn(&str) + S
     }
     // How many layers a PSNR takes is not known before; what they take is looked at when it is.
     let demand = demand(stack, params, terms.unwrap_or(1), basis);
-    let shares = Shares::new(stack, params, demand, matches!(params.rate, Rate::Psnr(_)))?;
+    let limits = Limits {
+        memory: params.memory,
+        folder: params.scratch.clone().unwrap_or_else(std::env::temp_dir),
+        codec: params.codecs().into_iter().max_by_key(|c| c.bytes(4, 4)).unwrap_or(Codec::Rgb8),
+        keeps_matrix: matches!(params.rate, Rate::Psnr(_)),
+    };
+    let shares = Shares::new(stack, limits, demand)?;
     stack.reading = shares.reading;
     let matrix = Matrix::read(stack, domain, shares.stack, &|| progress("reading"))?;
     let mut job = Job { stack, params, domain, matrix, shares, lights, views, progress };

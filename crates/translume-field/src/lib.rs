@@ -10,6 +10,7 @@
 pub mod basis;
 mod bc6h;
 mod compress;
+mod display;
 mod domain;
 pub mod environment;
 mod error;

@@ -2,7 +2,7 @@
 //!
 //! Directions point from the object to the light: x right, y up, z to the camera. They are normalised here.
 
-use crate::listed::{Found, Pictures, relative};
+use crate::listed::{Found, Pictures, ending, is_picture, relative};
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -28,9 +28,6 @@ impl Shot {
         Self { path, light, view: None, strength: 1.0 }
     }
 }
-
-/// Endings of files that are taken for pictures where a list does not name them.
-const PICTURES: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "tga", "exr", "hdr", "pfm", "pic"];
 
 /// The shots of the stack in `folder`, and how many pictures there have no light. The list is `list`, or the only `.lp` file of the folder, or
 /// its `lights.csv`, `lights.txt` or `light_directions.txt`.
@@ -109,10 +106,6 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     all.sort();
     Ok(all)
-}
-
-fn ending(path: &Path) -> String {
-    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 fn find_list(folder: &Path, entries: &[PathBuf]) -> Result<PathBuf> {
@@ -389,12 +382,6 @@ fn unit(v: [f32; 3], list: &Path, line: usize) -> Result<[f32; 3]> {
 pub fn normalised(v: [f32; 3]) -> Option<[f32; 3]> {
     let length = v.iter().map(|x| x * x).sum::<f32>().sqrt();
     (length.is_finite() && length > 1e-6).then(|| v.map(|x| x / length))
-}
-
-/// Whether a path is a picture by its name; `._` files of macOS are none.
-pub(crate) fn is_picture(path: &Path) -> bool {
-    let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("._"));
-    PICTURES.contains(&ending(path).as_str()) && !hidden && path.is_file()
 }
 
 /// Pictures by natural order: `cat.2.png` before `cat.10.png`. Masks are not pictures of the stack.

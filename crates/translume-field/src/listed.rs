@@ -4,9 +4,22 @@
 //! from systems where case does not matter; and with the endings of other versions of the pictures. A match that is the
 //! only one counts.
 
-use crate::lights::is_picture;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+
+/// Endings of pictures.
+const PICTURES: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "tga", "exr", "hdr", "pfm", "pic"];
+
+/// The ending of a path, in lower case.
+pub(crate) fn ending(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
+}
+
+/// Whether a path is a picture by its name; `._` files of macOS are none.
+pub(crate) fn is_picture(path: &Path) -> bool {
+    let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("._"));
+    PICTURES.contains(&ending(path).as_str()) && !hidden && path.is_file()
+}
 
 /// What became of a name.
 #[derive(Debug, PartialEq)]

@@ -4,7 +4,7 @@
 //! out is read from the files once more when the texels are projected. Work is divided into fixed pieces whose sums run
 //! in order: results do not depend on the number of threads.
 
-use crate::measure::shown;
+use crate::display::shown;
 use crate::planes::Planes;
 use crate::stack::Stack;
 use crate::{Domain, Error, Result};
@@ -199,7 +199,7 @@ impl Matrix {
         picked.par_iter().map(count).sum::<usize>() as f64 / texels.max(1) as f64
     }
 
-    /// Mean squared difference on a display ([`crate::measure::shown`]) between the picture of light `i` and another, over the texels held.
+    /// Mean squared difference on a display ([`shown`]) between the picture of light `i` and another, over the texels held.
     pub(crate) fn display_error(&self, i: usize, picture: &[f32], white: f32, domain: Domain) -> f64 {
         let (mut sum, mut at) = (0.0, 0);
         let mut values = [0.0f32; PIECE];

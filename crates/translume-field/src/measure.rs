@@ -2,6 +2,7 @@
 //! white, once for all pictures) and gamma 2.2, clipped to what a display shows.
 
 use crate::Relighter;
+pub use crate::display::shown;
 use crate::field::Field;
 use crate::matrix::Matrix;
 use crate::pca;
@@ -9,12 +10,6 @@ use crate::stack::Stack;
 use crate::{Domain, Error, Result};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-
-/// What a display shows of light relative to white.
-#[inline]
-pub fn shown(x: f32) -> f32 {
-    x.clamp(0.0, 1.0).powf(1.0 / 2.2) // [Menzel 2012, §4.6]
-}
 
 /// PSNR of pictures that are the same (black ones, mostly): with infinity there would be no mean.
 pub const MOST_PSNR: f64 = 100.0;

@@ -1,7 +1,6 @@
 //! How the memory that compressing may take is shared out: pictures being read, the matrix of the stack, textures, and planes, which
 //! go to files where they find no room.
 
-use crate::compress::Params;
 use crate::layers;
 use crate::matrix::PIECE;
 use crate::planes::{Planes, Room};
@@ -29,6 +28,19 @@ pub(crate) struct Demand {
     pub(crate) decoded: usize,
 }
 
+/// How much memory there is, and what else decides the shares.
+#[derive(Debug)]
+pub(crate) struct Limits {
+    /// Bytes of memory for all.
+    pub(crate) memory: usize,
+    /// Folder for what finds no room.
+    pub(crate) folder: std::path::PathBuf,
+    /// The largest codec of the layers.
+    pub(crate) codec: Codec,
+    /// The matrix is kept while textures are made.
+    pub(crate) keeps_matrix: bool,
+}
+
 /// Shares of the memory.
 #[derive(Debug)]
 pub(crate) struct Shares {
@@ -45,16 +57,16 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    /// For `stack`, if all of `demand` finds room beside each other. The matrix is `kept` while textures are made, or not.
+    /// For `stack`, if all of `demand` finds room beside each other.
     ///
     /// # Errors
     /// [`Error::Parameter`] where the memory is not enough, with what is.
-    pub(crate) fn new(stack: &Stack, params: &Params, demand: Demand, kept: bool) -> Result<Self> {
-        let codec = params.codecs().into_iter().max_by_key(|c| c.bytes(4, 4)).unwrap_or(Codec::Rgb8);
+    pub(crate) fn new(stack: &Stack, limits: Limits, demand: Demand) -> Result<Self> {
+        let Limits { memory, folder, codec, keeps_matrix } = limits;
         let mut shares = Self {
-            all: params.memory,
+            all: memory,
             base: PROGRAM + PER_WEIGHT * 3 * stack.shots.len() * demand.inputs,
-            folder: params.scratch.clone().unwrap_or_else(std::env::temp_dir),
+            folder,
             size: (stack.width, stack.height),
             codec,
             stack: 0,
@@ -65,17 +77,17 @@ impl Shares {
         let sample = whole.min(6 * stack.shots.len() * 16 * PIECE);
         let picture = stack.bytes_to_read();
         let encoding = shares.textures(demand) + shares.band(demand.inputs);
-        let least = match kept {
+        let least = match keeps_matrix {
             true => shares.base + sample + picture.max(encoding + 12 * stack.pixels()),
             false => shares.base + encoding.max(sample + picture),
         };
-        if params.memory < least {
+        if memory < least {
             return Err(shares.too_little(&stack.folder, least));
         }
         // Planes get a quarter at least, so that they stay in memory where that is easy.
-        let beside = if kept { least - sample } else { shares.base + picture };
-        shares.stack = params.memory - beside.max(params.memory / 4).min(params.memory - sample);
-        shares.reading = params.memory - shares.base - shares.stack.min(whole);
+        let beside = if keeps_matrix { least - sample } else { shares.base + picture };
+        shares.stack = memory - beside.max(memory / 4).min(memory - sample);
+        shares.reading = memory - shares.base - shares.stack.min(whole);
         Ok(shares)
     }
 

@@ -60,7 +60,7 @@ pub(crate) fn marks(shot: &Shot<'_>) -> Option<Vec<u8>> {
     let near = widened(&clipped, w, REACH, |a, b| a | b);
     let closed = widened(&widened(&clipped, w, GAP, |a, b| a | b), w, GAP, |a, b| a & b);
     let around: Vec<f32> = clipped.iter().map(|b| f32::from(u8::from(*b != 0))).collect();
-    let around = crate::ghost::box_mean(&around, w, GAP);
+    let around = crate::box_mean::box_mean(&around, w, GAP);
     clipped.par_chunks_mut(w).zip(closed.par_chunks(w)).zip(near.par_chunks(w)).enumerate().for_each_init(
         || vec![0.0f32; 3 * w],
         |row, (y, ((out, closed), near))| {
@@ -171,17 +171,6 @@ pub(crate) fn find_levels(shots: &mut [Shot<'_>]) {
     }
 }
 
-/// Where the channels of float values are clipped: at their largest value, if they pile up there. A highlight that is
-/// the largest by chance does not.
-pub(crate) fn float_levels(v: &[f32]) -> [f32; 3] {
-    std::array::from_fn(|c| {
-        let own = || v.iter().skip(c).step_by(3);
-        let most = own().copied().fold(0.0f32, f32::max);
-        let at_most = own().filter(|x| **x >= most * 0.9999).count();
-        if most > 0.0 && at_most > 8.max(v.len() / 60_000) { most } else { f32::INFINITY }
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,7 +204,7 @@ mod tests {
     #[test]
     fn channels_of_float_values_are_clipped_apart() {
         let v: Vec<f32> = (0..3000).flat_map(|i| [(i as f32).min(500.0), (i as f32).min(800.0), i as f32]).collect();
-        assert_eq!(float_levels(&v), [500.0, 800.0, f32::INFINITY]);
+        assert_eq!(crate::decode::float_levels(&v), [500.0, 800.0, f32::INFINITY]);
     }
 
     #[test]

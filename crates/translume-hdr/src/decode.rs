@@ -169,3 +169,14 @@ impl Decoder {
         }
     }
 }
+
+/// Where the channels of float values are clipped: at their largest value, if they pile up there. A highlight that is
+/// the largest by chance does not.
+pub(crate) fn float_levels(v: &[f32]) -> [f32; 3] {
+    std::array::from_fn(|c| {
+        let own = || v.iter().skip(c).step_by(3);
+        let most = own().copied().fold(0.0f32, f32::max);
+        let at_most = own().filter(|x| **x >= most * 0.9999).count();
+        if most > 0.0 && at_most > 8.max(v.len() / 60_000) { most } else { f32::INFINITY }
+    })
+}

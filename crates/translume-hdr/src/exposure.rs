@@ -1,8 +1,7 @@
 //! One picture of a bracket: its codes, its relative exposure and the part of it that is picture.
 
-use crate::clip;
-use crate::decode::{CLIPPED, Decoder, Kind, NOISE_BINS};
-use crate::{Error, Response, Result, order};
+use crate::Response;
+use crate::decode::{CLIPPED, Decoder, Kind, NOISE_BINS, float_levels};
 use translume_image::{Codes, Samples};
 
 /// One picture of a bracket.
@@ -71,65 +70,12 @@ impl Shot<'_> {
     }
 }
 
-/// Checks that the pictures can be one bracket.
-///
-/// # Errors
-/// [`Error::Bracket`] with what is wrong and what to do.
-pub fn check(exposures: &[Exposure]) -> Result<()> {
-    let [first, rest @ ..] = exposures else { return Err(Error::Bracket("no pictures".into())) };
-    if rest.is_empty() {
-        return Err(Error::Bracket(format!("{}: one picture is no bracket; give two or more", first.name)));
-    }
-    for e in exposures {
-        if e.codes.width == 0 || e.codes.height == 0 {
-            return Err(Error::Bracket(format!("{}: the picture is empty", e.name)));
-        }
-        if (e.codes.width, e.codes.height) != (first.codes.width, first.codes.height) {
-            return Err(Error::Bracket(format!(
-                "{}: {} × {} pixels, but {} has {} × {}; all pictures of a bracket must have one size",
-                e.name, e.codes.width, e.codes.height, first.name, first.codes.width, first.codes.height
-            )));
-        }
-        if !(e.secs.is_finite() && e.secs > 0.0) {
-            return Err(Error::Bracket(format!("{}: exposure {} is not a positive number", e.name, e.secs)));
-        }
-        if e.codes.is_linear() != first.codes.is_linear() {
-            return Err(Error::Bracket(format!(
-                "{}: linear and encoded pictures cannot be mixed in one bracket",
-                e.name
-            )));
-        }
-        if let Samples::F32(v) = &e.codes.samples {
-            if let Some(i) = v.iter().position(|x| !x.is_finite()) {
-                let (x, y) = (i / 3 % e.codes.width, i / 3 / e.codes.width);
-                return Err(Error::Bracket(format!(
-                    "{}: value {} at pixel ({x}, {y}); repair the file first",
-                    e.name, v[i]
-                )));
-            }
-            if v.iter().all(|x| *x <= 0.0) {
-                return Err(Error::Bracket(format!("{}: no positive value in it", e.name)));
-            }
-        }
-    }
-    if rest.iter().all(|e| (e.secs / first.secs - 1.0).abs() < 1e-3) {
-        let pixels = order::measured(exposures).map_or_else(String::new, |m| format!("; {m}"));
-        return Err(Error::Bracket(format!(
-            "all {} pictures have the same exposure ({} s); a bracket needs different ones (give --exposures if the files \
-             are wrong{pixels})",
-            exposures.len(),
-            first.secs
-        )));
-    }
-    Ok(())
-}
-
 /// The decoder of a picture before its response is known.
 pub(crate) fn decoder_of(codes: &Codes, response: &Response) -> Decoder {
     let kind = match &codes.samples {
         Samples::U8(_) | Samples::U16(_) => Kind::Curve { response: response.clone(), clip: [CLIPPED; 3] },
         Samples::F32(v) => {
-            let clip = clip::float_levels(v);
+            let clip = float_levels(v);
             Kind::Float { clip, full: v.iter().copied().fold(f32::MIN_POSITIVE, f32::max) }
         }
     };
@@ -251,21 +197,5 @@ mod tests {
         assert!(!border[5 * 20 + 5]);
         let sky = codes(20, 10, |_, y| if y < 4 { [255; 3] } else { [30, 40, 50] });
         assert!(find_border(&sky).is_none());
-    }
-
-    #[test]
-    fn brackets_that_cannot_be_merged_are_refused() {
-        let e = |name: &str, secs: f64, w: usize| Exposure {
-            name: name.into(),
-            codes: codes(w, 4, |_, _| [100; 3]),
-            alpha: None,
-            secs,
-        };
-        let message = |v: &[Exposure]| check(v).unwrap_err().to_string();
-        assert!(message(&[e("a", 1.0, 4)]).contains("a: one picture"));
-        assert!(message(&[e("a", 1.0, 4), e("b", 2.0, 5)]).contains("b: 5 × 4"));
-        assert!(message(&[e("a", 1.0, 4), e("b", 1.0, 4)]).contains("same exposure"));
-        assert!(message(&[e("a", 1.0, 4), e("b", f64::NAN, 4)]).contains("b: exposure"));
-        check(&[e("a", 1.0, 4), e("b", 1.0, 4), e("c", 4.0, 4)]).unwrap();
     }
 }

@@ -11,6 +11,7 @@
 //! is what a misregistration of half a pixel explains.
 
 use crate::align::{self, Aligned};
+use crate::box_mean::box_mean;
 use crate::decode::{Decoder, Kind};
 use crate::exposure::Shot;
 use crate::sampling::Point;
@@ -367,46 +368,6 @@ impl Table {
     }
 }
 
-/// Mean over (2r+1)² pixels, windows cut at the borders.
-pub(crate) fn box_mean(v: &[f32], w: usize, r: usize) -> Vec<f32> {
-    let h = v.len() / w;
-    let mut across = vec![0.0f32; v.len()];
-    for y in 0..h {
-        let row = &v[y * w..(y + 1) * w];
-        let mut sum: f64 = row[..r.min(w)].iter().map(|x| f64::from(*x)).sum();
-        for x in 0..w {
-            if x + r < w {
-                sum += f64::from(row[x + r]);
-            }
-            if x > r {
-                sum -= f64::from(row[x - r - 1]);
-            }
-            let n = (x + r + 1).min(w) - x.saturating_sub(r);
-            across[y * w + x] = (sum / n as f64) as f32;
-        }
-    }
-    let mut out = vec![0.0f32; v.len()];
-    let mut sums = vec![0.0f64; w];
-    for y in 0..r.min(h) {
-        for x in 0..w {
-            sums[x] += f64::from(across[y * w + x]);
-        }
-    }
-    for y in 0..h {
-        let n = ((y + r + 1).min(h) - y.saturating_sub(r)) as f64;
-        for x in 0..w {
-            if y + r < h {
-                sums[x] += f64::from(across[(y + r) * w + x]);
-            }
-            if y > r {
-                sums[x] -= f64::from(across[(y - r - 1) * w + x]);
-            }
-            out[y * w + x] = (sums[x] / n) as f32;
-        }
-    }
-    out
-}
-
 /// Ghosts grown by 3 pixels and feathered, so that no hard transition and no rim of the moved thing stays; and places
 /// where accepted and rejected pixels alternate given up as a whole, because a picture is not improved by speckles.
 fn soften(raw: &[u8], w: usize, h: usize) -> Vec<u8> {
@@ -466,25 +427,6 @@ mod tests {
         assert_eq!(gap((0.0, f32::INFINITY), (5.0, 6.0)), 0.0);
         assert!((gap((0.0, 1.0), (1.5, 2.0)) - 0.5).abs() < 1e-6);
         assert!((gap((3.0, 4.0), (f32::NEG_INFINITY, 2.0)) - 1.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn box_mean_is_the_mean_of_the_window() {
-        let (w, h) = (13, 9);
-        let v: Vec<f32> = (0..w * h).map(|i| ((i * 7919) % 31) as f32).collect();
-        let got = box_mean(&v, w, 2);
-        for y in 0..h {
-            for x in 0..w {
-                let (mut sum, mut n) = (0.0, 0.0);
-                for yy in y.saturating_sub(2)..(y + 3).min(h) {
-                    for xx in x.saturating_sub(2)..(x + 3).min(w) {
-                        sum += v[yy * w + xx];
-                        n += 1.0;
-                    }
-                }
-                assert!((got[y * w + x] - sum / n).abs() < 1e-3);
-            }
-        }
     }
 
     #[test]

@@ -7,6 +7,8 @@
 //! This crate knows nothing about files, options or reports.
 
 mod align;
+mod box_mean;
+mod bracket;
 mod clip;
 mod decode;
 mod exposure;
@@ -29,7 +31,8 @@ mod warp;
 mod weight;
 
 pub use align::{Aligned, Alignment, Motion};
-pub use exposure::{Exposure, check};
+pub use bracket::check;
+pub use exposure::Exposure;
 pub use field::{Affine, Field, Grid};
 pub use ghost::GhostParams;
 pub use grouping::{Brackets, Fact, group, group_by_count};

@@ -42,7 +42,7 @@ impl Look {
         for (rank, cell) in order.iter().enumerate() {
             ranks[*cell] = rank as f32 / means.len() as f32;
         }
-        let around = crate::ghost::box_mean(&ranks, width, AROUND);
+        let around = crate::box_mean::box_mean(&ranks, width, AROUND);
         let cells = (0..means.len()).map(|i| usable(means[i]).then(|| ranks[i] - around[i])).collect();
         Self { width, height, cells }
     }

@@ -11,7 +11,7 @@ mod primitive;
 mod uri;
 
 use crate::error::{Error, Fault, Result, invalid};
-use crate::files::{Loaded, Part};
+use crate::loaded::{Loaded, Part};
 use accessor::little_endian;
 use document::{Document, Node};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
@@ -107,7 +107,7 @@ impl Asset {
     /// # Errors
     /// [`Error::Io`], [`Error::Invalid`], [`Error::Unsupported`] for other versions, [`Error::Outside`].
     pub fn open(path: &Path, roots: &[PathBuf]) -> Result<Self> {
-        let bytes = crate::files::bytes_of(path)?;
+        let bytes = crate::loaded::bytes_of(path)?;
         Self::from_bytes_within(path, bytes, roots)
     }
 

@@ -14,6 +14,7 @@ mod error;
 mod files;
 pub mod gltf;
 mod lines;
+mod loaded;
 mod mesh;
 mod normals;
 pub mod obj;
@@ -26,7 +27,8 @@ pub mod stl;
 mod topology;
 
 pub use error::{Error, Result};
-pub use files::{Format, Loaded, Part, ReadOptions, read};
+pub use files::{Format, ReadOptions, read};
 pub use glam;
+pub use loaded::{Loaded, Part};
 pub use mesh::{Bounds, TriMesh};
 pub use topology::Topology;

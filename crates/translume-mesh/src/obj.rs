@@ -7,8 +7,8 @@
 //! then.
 
 use crate::error::{Error, Fault, Result, invalid};
-use crate::files::{Loaded, Part, bytes_of};
 use crate::lines::{all_lines, shown, text};
+use crate::loaded::{Loaded, Part, bytes_of};
 use crate::mesh::TriMesh;
 use crate::{origin, polygon};
 use glam::DVec3;

@@ -2,8 +2,8 @@
 //! Colours of faces are not kept. 4OFF, nOFF and binary files are refused.
 
 use crate::error::{Fault, Result, invalid};
-use crate::files::{Loaded, Part};
 use crate::lines::{lines, number, shown, text, words};
+use crate::loaded::{Loaded, Part};
 use crate::mesh::TriMesh;
 use crate::{origin, polygon};
 use std::path::Path;

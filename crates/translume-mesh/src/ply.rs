@@ -10,7 +10,7 @@ mod attribute;
 pub use attribute::attribute;
 
 use crate::error::{Fault, Result, invalid};
-use crate::files::{Loaded, Part};
+use crate::loaded::{Loaded, Part};
 use crate::mesh::TriMesh;
 use crate::{origin, polygon};
 use glam::DVec3;

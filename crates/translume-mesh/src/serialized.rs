@@ -4,7 +4,7 @@
 //! numbers are little-endian.
 
 use crate::error::{Fault, Result, invalid};
-use crate::files::{Loaded, Part};
+use crate::loaded::{Loaded, Part};
 use crate::mesh::TriMesh;
 use crate::origin;
 use flate2::read::ZlibDecoder;

@@ -4,8 +4,8 @@
 //! "solid" begins texts, but many binary files too: the length tells, which a binary file's count fixes.
 
 use crate::error::{Fault, Result, invalid};
-use crate::files::{Loaded, Part};
 use crate::lines::{lines, number, shown, text, words};
+use crate::loaded::{Loaded, Part};
 use crate::mesh::TriMesh;
 use crate::{origin, polygon};
 use glam::DVec3;

@@ -141,6 +141,7 @@ fn pbrt_that_cannot_be() {
         ("\"thing\"\n  Scale", "\"nothing\"\n  Scale", "no object \"nothing\""),
         ("\"float fov\" 40", "\"float fov\" [ 40", "wrong value"),
         ("Shape \"disk\"", "Shape \"curve\"", "scene.pbrt:29: shape \"curve\""),
+        ("Shape \"disk\"", "Shape \"disk\" \"float radius\" 1e-300", "too small"),
         ("[ 0 1 2 ]", "[ 0 1 3 ]", "below 3"),
         ("Scale 2 2 2", "Scale 0 0 0", "degenerate"),
         ("WorldBegin", "Include \"scene.pbrt\" WorldBegin", "includes itself"),

@@ -4,8 +4,8 @@
 //! the compressed bytes go through the crate. Chroma is interpolated linearly; OpenEXR's own reader has a filter of 27
 //! taps, which is sharper at hard edges of colour.
 
+use super::exr_frame::{DAMAGED_BLOCK, Frame, each_sample, failed, metadata, raster};
 use super::exr_layers::Roles;
-use super::exr_read::{DAMAGED_BLOCK, Frame, each_sample, failed, metadata, raster};
 use crate::colour::Space;
 use crate::raster::Raster;
 use crate::{Error, Result, guard, limits};

@@ -1,6 +1,7 @@
 //! One file format each: bytes to samples and back.
 
 pub(crate) mod exr_chroma;
+pub(crate) mod exr_frame;
 pub(crate) mod exr_layers;
 pub(crate) mod exr_read;
 pub(crate) mod exr_write;

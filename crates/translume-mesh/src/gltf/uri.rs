@@ -18,7 +18,7 @@ impl Asset {
     pub fn resolve(&self, uri: &str) -> Result<Vec<u8>> {
         if !is_data(uri) {
             let file = self.file(uri)?;
-            return crate::files::bytes_of(&file);
+            return crate::loaded::bytes_of(&file);
         }
         let Some((kind, data)) = uri["data:".len()..].split_once(',') else {
             return Err(Error::invalid(&self.path, "a data URI without data"));

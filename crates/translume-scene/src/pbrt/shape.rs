@@ -2,10 +2,10 @@
 
 use super::Loader;
 use super::parameters::Parameters;
-use crate::Result;
 use crate::builder::{MeshKey, Normals};
 use crate::material::Model;
 use crate::scene::{Geometry, Shape};
+use crate::{Result, check};
 use glam::{DAffine3, DVec3, Vec3};
 use std::sync::Arc;
 use translume_mesh::TriMesh;
@@ -38,6 +38,9 @@ impl Loader {
             }
             _ => return Err(p.place.unsupported(format!("shape {kind:?} is not supported"))),
         };
+        if !check::is_invertible(&world_from_object) {
+            return Err(p.place.invalid("the shape is too small for numbers"));
+        }
         let mut material = self.state.material.unwrap_or_else(|| self.builder.gray(0.5));
         if let Some(opacity) = self.optional(p, "alpha")? {
             material = self.builder.material("", Model::Mask { opacity, nested: material });

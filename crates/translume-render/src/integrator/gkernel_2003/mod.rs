@@ -150,7 +150,7 @@ impl GKernel2003 {
         let cos_x = v.hit.n().dot(v.hit.wo).abs();
         let light = times(f.pdf_to_light * arrival.onto_parent / (arrival.pdf_across * cos_y), beyond);
         let camera = times(f.pdf_to_camera * y.back / y.pdf, y.d_vm);
-        let kernel = 1.0 / (PI * v.radius * v.radius * cos_x * v.passed); // [Bekaert 2003, Eq. 8b]
+        let kernel = 1.0 / (PI * v.radius * v.radius * cos_x * v.passed); // its kernel, constant over the footprint
         let paths = self.path_count(shot) as f32;
         let factor = kernel * merge_weight(light, camera) * link.weight / (v.survival * paths);
         Some(arrival.value * f.f * cos_y * visible * y.throughput * factor) // [Bekaert 2003, Eq. 8]
