@@ -4,8 +4,8 @@ Equal time: on the floors of `floor.py` every method renders for the same second
 do not count); relMSE = mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over pixels and channels. The reference r is the mean of
 two long renders by `path` with seeds of their own; what they differ by tells its noise, which is taken out of each relMSE.
 
-Parts: what goes beyond the paper, each alone added to the method as printed, and each alone left out of the default, at the same steps;
-beside it the processor time.
+Parts: what can be switched off, each left out of the default, and the method as published, at the same steps; beside it the processor time. (The table of all
+parts, results/gkernel-parts.md, was made when each had a switch.)
 
 Bias: on four small scenes the mean of a patch against `path`, in percent, with the standard error.
 """
@@ -17,13 +17,9 @@ from floor import floor
 BINARY = os.environ.get("TRANSLUME") or os.path.join(os.environ.get("CARGO_TARGET_DIR", "target"), "release", "translume")
 RESULTS = os.path.join("benches", "results")
 METHODS = {"path": ["--integrator", "path"], "bdpt": ["--integrator", "bdpt"], "photonmap": ["--integrator", "photonmap"],
-           "gkernel": ["--integrator", "gkernel"], "gkernel, printed": ["--integrator", "gkernel", "-O", "printed=true"]}
+           "gkernel": ["--integrator", "gkernel"], "gkernel-2003": ["--integrator", "gkernel-2003", "-O", "eye-paths=16"]}
 UNBIASED = {"gkernel, unbiased": ["--integrator", "gkernel", "--unbiased"]}
-PARTS = {"shrink": ("true", "false"), "normalise": ("rays", "disc"), "caustics": ("true", "false"), "target": ("true", "false"),
-         "importance": ("true", "false"), "sobol": ("true", "false"), "weights": ("true", "false"), "emitters": ("true", "false"),
-         "seen": ("true", "false"), "shared": ("8", "1"), "edges": ("true", "false"), "acceptance": ("true", "false"),
-         "steady": ("true", "false"), "keep": ("true", "true"), "kernel": ("smooth", "smooth"),
-         "correlation": (None, "256")}  # the last three are not in the default: both columns are with them; eq. 9 of the printed method has none
+PARTS = {"caustics": "false", "shared": "1", "emitters": "false", "unbiased": "true"}
 
 
 def read(path):
@@ -78,23 +74,21 @@ PARTS_SIZE = (256, 192)
 
 
 def parts(a):
-    """Rows of: part, relMSE and processor seconds of the printed method with it, of the default without it; the two themselves first."""
+    """Rows of: part, (relMSE, processor seconds) of the default without it; the default and the method as published first."""
     with tempfile.TemporaryDirectory() as folder:
         scene, _ = floor(folder, "shut", a.seed, False)
         b = argparse.Namespace(**{**vars(a), "size": PARTS_SIZE})
         reference, noise = two_halves(scene, b)
-        def error(*options):
+        def error(*options, method="gkernel"):
             arguments = [word for o in options for word in ("-O", o)]
             spent = -resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            picture, _ = render(scene, ["--integrator", "gkernel", "--steps", str(a.parts), *arguments], b.size, a.seed)
+            picture, _ = render(scene, ["--integrator", method, "--steps", str(a.parts), *arguments], b.size, a.seed)
             spent += resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             found = rel_mse(picture, reference, noise), spent
-            print(f"  parts, {' '.join(options) or 'all'}: %.4g, %.1f s" % found, flush=True)
+            print(f"  parts, {method} {' '.join(options)}: %.4g, %.1f s" % found, flush=True)
             return found
-        rows = [("none / all", error("printed=true"), error())]
-        for part, (on, off) in PARTS.items():
-            rows.append((part, error("printed=true", f"{part}={on}") if on else None, error(f"{part}={off}")))
-        return rows + [("all, unbiased", None, error("unbiased=true"))]
+        rows = [("all", error()), ("as published", error(method="gkernel-2003"))]
+        return rows + [(f"{part}={off}", error(f"{part}={off}")) for part, off in PARTS.items()]
 
 
 def equal_time(a):
@@ -220,9 +214,8 @@ def main():
             f"doors {k}: h {c['h']:.2g}, {c['steps']} steps, {c['candidates_per_eye_vertex']:.1f} candidates, {c['requested_per_eye_vertex']:.1f} requested and "
             f"{c['unoccluded_per_eye_vertex']:.1f} unoccluded links per eye vertex, visibility {c['mean_visibility']:.2f}" for k, c in counts.items()) + "."]
     if partly:
-        told = lambda found: "-" if found is None else "%.3g (%.1f)" % found
-        lines += ["", f"Parts, relMSE after {a.parts} steps at {PARTS_SIZE[0]} × {PARTS_SIZE[1]}, doors shut, one seed (processor seconds, loading included):", "", "| part | printed with it | default without it |", "| --- | --- | --- |"]
-        lines += [f"| {name} | {told(with_it)} | {told(without)} |" for name, with_it, without in partly]
+        lines += ["", f"Parts, relMSE after {a.parts} steps at {PARTS_SIZE[0]} × {PARTS_SIZE[1]}, doors shut, one seed (processor seconds, loading included):", "", "| part | relMSE | seconds |", "| --- | --- | --- |"]
+        lines += [f"| {name} | {relmse:.3g} | {spent:.1f} |" for name, (relmse, spent) in partly]
     if biased:
         lines += ["", "Bias of a patch's mean against `path`, in percent, with its standard error:", "", "| scene | method | bias | error |", "| --- | --- | --- | --- |"]
         lines += [f"| {s} | {m} | {b:+.2f} | {e:.2f} |" for s, m, b, e in biased]

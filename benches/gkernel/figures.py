@@ -2,7 +2,7 @@
 `run.sh --figures`, from the root; writes `benches/results/gkernel-figures.{png,md}`.
 
 1. Direct light alone after equal time: a photon map that is looked at as it is blurs shadows and leaks through a thin wall.
-4. The bias of the method as printed, exaggerated by footprints that are large because light paths are few: too little light, or too much, on
+4. The bias of the method as published (`gkernel-2003`), exaggerated by footprints that are large because light paths are few: too little light, or too much, on
    surfaces that the lamp meets at flat angles, and along edges. Beside it the default and `unbiased`, with as few light paths; below, what
    squares of 4 × 4 pixels have too much (red) or too little (blue).
 7. The many-light floor of rough metal after equal time.
@@ -62,12 +62,12 @@ def row(scene, title, methods, limits, reference, size=(256, 192)):
 def figures(seconds, reference):
     with tempfile.TemporaryDirectory() as folder:
         long = ["--integrator", "path", "--time", f"{reference}s"]
-        gkernel = {k: METHODS[k] for k in ("gkernel, printed", "gkernel")}
+        gkernel = {k: METHODS[k] for k in ("gkernel-2003", "gkernel")}
         in_map = {"photon map, no gather": ["--integrator", "photonmap", "-O", "gather=false", "-O", "direct=map"]}
         direct = written(folder, LEAK, "0.2, -4.4, 2.6", "0, 0.6, 0.6", 42, 2)
         yield row(direct, "1: direct light", in_map | gkernel, ["--time", f"{seconds}s"], long)
         few = [*METHODS["gkernel"], "-O", "light-paths=500"]
-        large = {"printed, 500 light paths": [*few, "-O", "printed=true"], "default, 500 light paths": few, "unbiased, 500 light paths": [*few, "--unbiased"]}
+        large = {"2003, 500 light paths": [*METHODS["gkernel-2003"], "-O", "light-paths=500"], "default, 500 light paths": few, "unbiased, 500 light paths": [*few, "--unbiased"]}
         grazed = written(folder, GRAZED, "0.1, -4.2, 1.5", "0, 1, 0.8", 36, 2)
         yield row(grazed, "4: bias", large, ["--spp", "256"], long)
         glossy, _ = floor(folder, "shut", 1, True)

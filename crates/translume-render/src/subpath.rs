@@ -163,7 +163,7 @@ pub struct Walk<'a> {
 }
 
 /// A walk that is under way.
-pub struct Going {
+pub struct PathState {
     /// Factor so far.
     throughput: Rgb,
     segments: u32,
@@ -201,7 +201,7 @@ struct Step {
     delta: bool,
 }
 
-impl Going {
+impl PathState {
     /// Along a ray, with the factor and the density that it begins with.
     pub fn new((ray, throughput, density): (Ray, Rgb, Density)) -> Self {
         Self {
@@ -255,7 +255,7 @@ impl Walk<'_> {
         rays: &mut u64,
         out: &mut Vec<Vertex>,
     ) -> (Option<Escape>, f32) {
-        let mut going = Going::new(begin);
+        let mut going = PathState::new(begin);
         let escape = self.follow(&mut going, usize::MAX, start, sampler, rays, out);
         (escape, going.start_back)
     }
@@ -263,7 +263,7 @@ impl Walk<'_> {
     /// Goes on until `out` has this many vertices; the walk has not scattered at the last one yet.
     pub fn follow(
         &self,
-        s: &mut Going,
+        s: &mut PathState,
         vertices: usize,
         start: Option<&LightPoint>,
         sampler: &mut PathSampler,
@@ -300,7 +300,7 @@ impl Walk<'_> {
     /// Scatters at the last vertex of `out`; whether the walk can go on.
     fn scatter(
         &self,
-        s: &mut Going,
+        s: &mut PathState,
         start: Option<&LightPoint>,
         sampler: &mut PathSampler,
         out: &mut Vec<Vertex>,
@@ -371,7 +371,7 @@ impl Walk<'_> {
         usable.then_some(Step { wi, weight, eta, pdf_w: sample.pdf_w, pdf_back_w, delta: false })
     }
 
-    fn survives(&self, s: &mut Going, sampler: &mut PathSampler) -> bool {
+    fn survives(&self, s: &mut PathState, sampler: &mut PathSampler) -> bool {
         if s.loss.max_element() <= 0.0 {
             return false;
         }

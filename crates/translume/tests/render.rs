@@ -81,6 +81,12 @@ fn gkernel_shares_samples_out_among_steps_and_resumes_to_the_bit() {
     unbiased("gkernel").ok();
     assert_ne!(rgb("u.exr"), rgb("whole.exr"));
     assert!(unbiased("path").error(2).contains("gkernel"));
+    // The method of 2003 has steps too, and is where one asks for it by its old option.
+    let old =
+        translume(dir.path(), &["render", "box.xml", "-o", "u.exr", "--integrator", "gkernel-2003", "--steps", "2"]);
+    old.ok();
+    assert_ne!(rgb("u.exr"), rgb("whole.exr"));
+    assert!(render("-o out.exr -O printed=true").error(2).contains("gkernel-2003"));
 }
 
 #[test]

@@ -233,6 +233,8 @@ pub struct Entry {
     pub about: &'static str,
     /// Its options.
     pub options: &'static [Choice],
+    /// Options that it had, and what became of them.
+    pub removed: &'static [(&'static str, &'static str)],
     make: fn(Settings, &Options) -> Result<Box<dyn Integrator>>,
 }
 
@@ -242,18 +244,21 @@ pub const INTEGRATORS: [Entry; 6] = [
         name: "path",
         about: "path tracing with emitter sampling; media are not seen",
         options: &[],
+        removed: &[],
         make: |settings, _| Ok(Box::new(Path::new(settings))),
     },
     Entry {
         name: "volpath",
         about: "path tracing through participating media",
         options: &[],
+        removed: &[],
         make: |settings, _| Ok(Box::new(Volpath::new(settings))),
     },
     Entry {
         name: "bdpt",
         about: "bidirectional path tracing; no media",
         options: &[],
+        removed: &[],
         make: |settings, _| Ok(Box::new(Bdpt::new(settings))),
     },
     Entry {
@@ -265,18 +270,21 @@ pub const INTEGRATORS: [Entry; 6] = [
             Choice { name: "gather", default: "true", about: "follow one more direction before estimating" },
             Choice { name: "direct", default: "sample", about: "direct light: `sample`, or `map` with gather=false" },
         ],
+        removed: &[],
         make: |settings, options| Ok(Box::new(PhotonMapping::new(settings, options)?)),
     },
     Entry {
         name: "gkernel",
         about: "the generalized kernel method, for many lights (nearly unbiased); no media",
         options: &gkernel::OPTIONS,
+        removed: &gkernel::REMOVED,
         make: |settings, options| Ok(Box::new(GKernel::new(settings, options)?)),
     },
     Entry {
         name: "gkernel-2003",
         about: "the generalized kernel method as Bekaert et al. published it in 2003 (biased); no media",
         options: &gkernel_2003::OPTIONS,
+        removed: &[],
         make: |settings, options| Ok(Box::new(GKernel2003::new(settings, options)?)),
     },
 ];
@@ -294,6 +302,9 @@ pub fn with_options(name: &str, settings: Settings, options: &[(String, String)]
     let entry = INTEGRATORS.iter().find(|e| e.name == name);
     let entry = entry.ok_or_else(|| Error::Mismatch(format!("there is no method `{name}`")))?;
     if let Some((unknown, _)) = options.iter().find(|o| entry.options.iter().all(|k| k.name != o.0)) {
+        if let Some((_, now)) = entry.removed.iter().find(|r| r.0 == unknown) {
+            return Err(Error::Mismatch(format!("{name} has no option `{unknown}` any more: {now}")));
+        }
         let known: Vec<&str> = entry.options.iter().map(|k| k.name).collect();
         let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
         return Err(Error::Mismatch(format!("{name} has no option `{unknown}`; it has: {known}")));

@@ -17,7 +17,7 @@ use environment::Environment;
 use glam::{Vec2, Vec3};
 pub(crate) use mesh::{Faces, MeshLight, bright_normal};
 use point::PointLight;
-pub(crate) use seen::{Seen, Tried};
+pub(crate) use seen::{LightVisibilityCache, VisibilitySample};
 pub(crate) use shape::{Form as ShapeForm, Quadric, ShapeLight, mesh_place, uv_of_sphere};
 use std::f32::consts::{PI, TAU};
 use translume_core::distribution::AliasTable;
@@ -290,8 +290,8 @@ impl Lights {
     }
 
     /// Learns from what was tried.
-    pub(crate) fn learn(&self, tried: Vec<Tried>) -> Option<Seen> {
-        Seen::learn(&self.tree, tried)
+    pub(crate) fn learn(&self, tried: Vec<VisibilitySample>) -> Option<LightVisibilityCache> {
+        LightVisibilityCache::learn(&self.tree, tried)
     }
 
     /// Draws a direction from `p` to a light that was chosen with a probability. `None`: it does not shine here.
@@ -324,7 +324,14 @@ impl Lights {
 
     /// Density of [`Lights::sample`] at (`p`, `n`) for the point `q` of a light, which lies along `wi`: per area of the
     /// light's surface; for far lights per solid angle; for lights without extent the probability. `seen` as in the choice.
-    pub(crate) fn pdf_direct(&self, p: Vec3, n: Vec3, seen: Option<&Seen>, q: &LightPoint, wi: Vec3) -> f32 {
+    pub(crate) fn pdf_direct(
+        &self,
+        p: Vec3,
+        n: Vec3,
+        seen: Option<&LightVisibilityCache>,
+        q: &LightPoint,
+        wi: Vec3,
+    ) -> f32 {
         let near = 1.0 - self.far_share();
         let far = if self.far.contains(&q.light) { self.far_share() / self.far.len() as f32 } else { 0.0 };
         let probability = || self.tree.probability(p, n, seen.map(|s| s.from(p, n)), q.light);
@@ -342,17 +349,13 @@ impl Lights {
         &self.by_power
     }
 
-    /// Chances of which the part `quota` is the same for all lights that shine; of the rest `share` is by `weights`, one for each light (or none at
-    /// all), and what remains by power.
-    pub fn starts_by(&self, weights: &[f32], share: f32, quota: f32) -> Starts {
+    /// Chances of which `share` is by `weights`, one for each light (or none at all), and what remains by power.
+    pub fn starts_by(&self, weights: &[f32], share: f32) -> Starts {
         let sum: f64 = weights.iter().map(|w| f64::from(*w)).sum();
         let share = if sum > 0.0 && sum.is_finite() { share } else { 0.0 };
-        let power = |i| self.by_power.probability(i);
-        let shining = (0..self.lights.len()).filter(|i| power(*i) > 0.0).count() as f32;
         let mix = |i: usize| {
-            let alike = if power(i) > 0.0 { quota / shining } else { 0.0 };
             let learnt = if share > 0.0 { share * (f64::from(weights[i]) / sum) as f32 } else { 0.0 };
-            alike + (1.0 - quota) * ((1.0 - share) * power(i) + learnt)
+            (1.0 - share) * self.by_power.probability(i) + learnt
         };
         Starts(AliasTable::new(&(0..self.lights.len()).map(mix).collect::<Vec<_>>()))
     }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use translume_mesh::Bounds;
 
 /// A place, and the lights that were tried there: their numbers, and whether light of them arrived.
-pub(crate) struct Tried {
+pub(crate) struct VisibilitySample {
     pub(crate) p: Vec3,
     /// The receiving normal.
     pub(crate) n: Vec3,
@@ -21,7 +21,7 @@ pub(crate) struct Tried {
 }
 
 /// What was learnt.
-pub(crate) struct Seen {
+pub(crate) struct LightVisibilityCache {
     cuts: Vec<Cut>,
     /// Cell after cell a factor for each child of each node, in 255ths.
     factors: Vec<[u8; 4]>,
@@ -59,9 +59,9 @@ const PRIOR: f32 = 2.0;
 /// Smallest factor.
 const LEAST: f32 = 0.05;
 
-impl Seen {
+impl LightVisibilityCache {
     /// From what was tried. `None` where there is nothing to learn from.
-    pub(crate) fn learn(tree: &LightTree, mut tried: Vec<Tried>) -> Option<Self> {
+    pub(crate) fn learn(tree: &LightTree, mut tried: Vec<VisibilitySample>) -> Option<Self> {
         let nodes = tree.nodes().min(MOST_NODES);
         if nodes == 0 || tried.is_empty() {
             return None;
@@ -72,7 +72,7 @@ impl Seen {
         let mut cells = Cells { cuts: Vec::new(), ends: Vec::new(), normal };
         cells.cut(&mut tried, 0, 0);
         let begins = std::iter::once(0).chain(cells.ends.iter().copied());
-        let parts: Vec<&[Tried]> = begins.zip(&cells.ends).map(|(begin, end)| &tried[begin..*end]).collect();
+        let parts: Vec<&[VisibilitySample]> = begins.zip(&cells.ends).map(|(begin, end)| &tried[begin..*end]).collect();
         let factors = parts.par_iter().flat_map_iter(|part| factors(tree, nodes, part)).collect();
         Some(Self { cuts: cells.cuts, factors, nodes })
     }
@@ -108,7 +108,7 @@ struct Cells {
 
 impl Cells {
     /// Sorts `tried`, of which `before` lie before, into cells.
-    fn cut(&mut self, tried: &mut [Tried], before: usize, depth: u32) -> Half {
+    fn cut(&mut self, tried: &mut [VisibilitySample], before: usize, depth: u32) -> Half {
         let [mut places, mut normals] = [Bounds::EMPTY; 2];
         for t in tried.iter() {
             places.grow(t.p);
@@ -126,7 +126,7 @@ impl Cells {
         }
         let bounds = if axis < 3 { places } else { normals };
         let at = bounds.center()[axis as usize % 3];
-        let high = |t: &Tried| coordinate(t.p, t.n, axis) >= at;
+        let high = |t: &VisibilitySample| coordinate(t.p, t.n, axis) >= at;
         tried.sort_by_key(high);
         let middle = tried.partition_point(|t| !high(t));
         let here = self.cuts.len();
@@ -139,7 +139,7 @@ impl Cells {
 }
 
 /// Of a cell.
-fn factors(tree: &LightTree, nodes: usize, tried: &[Tried]) -> Vec<[u8; 4]> {
+fn factors(tree: &LightTree, nodes: usize, tried: &[VisibilitySample]) -> Vec<[u8; 4]> {
     let mut counts = vec![[[0.0_f32; 2]; 4]; nodes];
     let mut all = [0.0_f32; 2];
     for (light, arrived) in tried.iter().flat_map(|t| &t.lights) {
@@ -187,7 +187,7 @@ mod tests {
         (LightTree::new(&lamps.iter().map(bounds).collect::<Vec<_>>()), lamps)
     }
 
-    fn known(tree: &LightTree, lamps: &[Vec3]) -> Option<Seen> {
+    fn known(tree: &LightTree, lamps: &[Vec3]) -> Option<LightVisibilityCache> {
         let mut rng = Pcg32::new(5, 1);
         let place = |i: usize| {
             // Some on either face of the wall itself, which only their normals tell apart.
@@ -198,9 +198,9 @@ mod tests {
                 let (light, _) = tree.sample(p, Vec3::ZERO, None, rng.next_1d())?;
                 Some((light, lamps[light].x * side > 0.0))
             });
-            Tried { p, n, lights: lights.collect() }
+            VisibilitySample { p, n, lights: lights.collect() }
         };
-        Seen::learn(tree, (0..20_000).map(place).collect())
+        LightVisibilityCache::learn(tree, (0..20_000).map(place).collect())
     }
 
     #[test]
@@ -222,13 +222,17 @@ mod tests {
     #[test]
     fn nothing_tried_is_nothing_learnt() {
         let (tree, _) = rooms();
-        assert!(Seen::learn(&tree, Vec::new()).is_none());
+        assert!(LightVisibilityCache::learn(&tree, Vec::new()).is_none());
         assert!(
-            Seen::learn(&LightTree::new(&[]), vec![Tried { p: Vec3::ZERO, n: Vec3::Z, lights: Vec::new() }]).is_none()
+            LightVisibilityCache::learn(
+                &LightTree::new(&[]),
+                vec![VisibilitySample { p: Vec3::ZERO, n: Vec3::Z, lights: Vec::new() }]
+            )
+            .is_none()
         );
         // Places all alike, and without lights.
-        let alike = || Tried { p: Vec3::ONE, n: Vec3::Z, lights: Vec::new() };
-        let seen = Seen::learn(&tree, (0..1000).map(|_| alike()).collect()).unwrap();
+        let alike = || VisibilitySample { p: Vec3::ONE, n: Vec3::Z, lights: Vec::new() };
+        let seen = LightVisibilityCache::learn(&tree, (0..1000).map(|_| alike()).collect()).unwrap();
         assert!(seen.from(Vec3::ZERO, Vec3::ZERO).iter().flatten().all(|f| *f == 255));
     }
 }

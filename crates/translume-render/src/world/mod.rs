@@ -6,7 +6,7 @@ mod hit;
 mod translucent;
 
 use crate::camera::CameraSample;
-use crate::light::{End, LightPoint, Lights, Seen, light_of};
+use crate::light::{End, LightPoint, LightVisibilityCache, Lights, light_of};
 use crate::material::{Mixture, Prepared, Shader};
 use crate::medium::Tracked;
 use crate::texture;
@@ -255,7 +255,7 @@ impl World {
         &self,
         hit: &SurfaceHit,
         shading: &Shading,
-        seen: Option<&Seen>,
+        seen: Option<&LightVisibilityCache>,
         q: &LightPoint,
         wi: Vec3,
     ) -> f32 {

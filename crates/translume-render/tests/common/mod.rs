@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each test file uses a part")]
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use translume_bxdf::Rgb;
@@ -162,4 +162,80 @@ pub(crate) fn glass_ball(light: f32) -> Scene {
     (light.radiance, light.flip_normals) = (Some(glow), true);
     m.camera(DVec3::new(3.0, -3.0, 2.5), DVec3::new(0.0, 0.0, 0.3), 0.5);
     m.0
+}
+
+/// A floor just inside its edge, under a small lamp.
+pub(crate) fn edge() -> Scene {
+    let mut m = Maker::default();
+    let (gray, black, glow) = (m.diffuse(0.5), m.diffuse(0.0), m.gray(5.0));
+    m.square(1.0, 0.0, gray);
+    let light = m.square(0.1, 1.0, black);
+    (light.radiance, light.flip_normals) = (Some(glow), true);
+    m.camera(DVec3::new(0.98, 0.0, 4.0), DVec3::new(0.98, 0.0, 0.0), 0.3);
+    m.0
+}
+
+/// A corner with a block in it, lit by what a lamp throws at its walls: most pixels see others' second vertices at all distances and angles.
+pub(crate) fn corner() -> Scene {
+    let mut m = Maker::default();
+    let (gray, red, black, glow) = (m.diffuse(0.7), m.diffuse(0.4), m.diffuse(0.0), m.gray(20.0));
+    m.square(1.0, 0.0, gray);
+    m.sphere(DVec3::new(0.0, 0.0, 0.15), 0.15, red);
+    m.sphere(DVec3::new(0.35, 0.2, 0.1), 0.1, gray);
+    // A dome as the wall, from inside.
+    m.sphere(DVec3::ZERO, 0.8, gray).flip_normals = true;
+    m.sphere(DVec3::new(0.0, -0.3, 0.6), 0.05, black).radiance = Some(glow);
+    m.camera(DVec3::new(0.0, -0.7, 0.3), DVec3::new(0.1, 0.0, 0.1), 60_f32.to_radians());
+    m.0
+}
+
+/// The middle of a large floor, under a point light, and its radiance.
+pub(crate) fn flat() -> (Scene, f64) {
+    let mut m = Maker::default();
+    let gray = m.diffuse(0.5);
+    m.square(4.0, 0.0, gray);
+    m.0.emitters.push(Emitter::Point { position: DVec3::new(0.0, 0.0, 2.0), intensity: Vec3::splat(8.0) });
+    m.camera(DVec3::new(3.0, 0.0, 1.0), DVec3::ZERO, 1e-3);
+    (m.0, 0.5 / std::f64::consts::PI * 8.0 / 4.0)
+}
+
+/// The same of a smaller floor, 1 % of its width inside the edge.
+pub(crate) fn floor_edge() -> (Scene, f64) {
+    let mut m = Maker::default();
+    let gray = m.diffuse(0.5);
+    m.square(1.0, 0.0, gray);
+    m.0.emitters.push(Emitter::Point { position: DVec3::new(0.0, 0.0, 2.0), intensity: Vec3::splat(8.0) });
+    m.camera(DVec3::new(0.98, 0.0, 3.0), DVec3::new(0.98, 0.0, 0.0), 1e-3);
+    let (r2, cos) = (4.0 + 0.98 * 0.98, 2.0 / (4.0_f64 + 0.98 * 0.98).sqrt());
+    (m.0, 0.5 / std::f64::consts::PI * 8.0 * cos / r2)
+}
+
+/// Inside a closed diffuse sphere that shines every point has L_e / (1 − albedo).
+pub(crate) fn furnace() -> (Scene, f64) {
+    let mut m = Maker::default();
+    let (gray, glow) = (m.diffuse(0.5), m.gray(1.0));
+    let shape = m.sphere(DVec3::ZERO, 1.0, gray);
+    (shape.radiance, shape.flip_normals) = (Some(glow), true);
+    m.camera(DVec3::new(0.2, -0.3, 0.1), DVec3::X, 1.0);
+    (m.0, 2.0)
+}
+
+/// Means of independent pictures.
+pub(crate) fn means(scene: &Scene, method: &str, options: &[(&str, &str)], pictures: u64) -> Vec<f64> {
+    let options: Vec<(String, String)> = options.iter().map(|o| (o.0.to_owned(), o.1.to_owned())).collect();
+    let of = |seed| mean(&film_by(scene, &*integrator::with_options(method, UNLIMITED, &options).unwrap(), 8, seed)).0;
+    (100..100 + pictures).map(of).collect()
+}
+
+/// How many standard errors the mean of independent pictures is from that of `path`. Pixels of one picture share light paths,
+/// so that only whole pictures are independent.
+pub(crate) fn deviation(scene: &Scene, method: &str, options: &[(&str, &str)], pictures: u64) -> f64 {
+    let (path, error) = mean(&film(scene, "path", UNLIMITED, 1 << 14, 6));
+    let means = means(scene, method, options, pictures);
+    let n = pictures as f64;
+    let ours = means.iter().sum::<f64>() / n;
+    let variance = means.iter().map(|m| (m - ours).powi(2)).sum::<f64>() / (n * (n - 1.0));
+    let z = (ours - path) / (variance + error * error).sqrt();
+    println!("{method} {options:?}: {ours} beside {path}, standard errors {} and {error}, z {z}", variance.sqrt());
+    z
 }

@@ -76,7 +76,7 @@ pub(crate) struct Args {
     /// Samples per pixel [default: the scene's, or 64]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     spp: Option<u64>,
-    /// Light passes of gkernel, which share out the samples [default: as many as samples]
+    /// Light passes of gkernel and gkernel-2003, which share out the samples [default: as many as samples]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     steps: Option<u64>,
     /// gkernel without its small bias: converges to what path finds; slower
@@ -263,8 +263,8 @@ fn with_flags(args: &Args, name: &str) -> Result<Vec<(String, String)>, Usage> {
         return Err(Usage(format!("--unbiased is a mode of gkernel, not of {name}")));
     }
     let Some(steps) = args.steps else { return Ok(options) };
-    if name != "gkernel" {
-        return Err(Usage(format!("--steps are the light passes of gkernel; {name} has none")));
+    if !["gkernel", "gkernel-2003"].contains(&name) {
+        return Err(Usage(format!("--steps are the light passes of gkernel and gkernel-2003; {name} has none")));
     }
     let samples = args.spp.unwrap_or(steps);
     if !samples.is_multiple_of(steps) {

@@ -14,8 +14,8 @@
 
 use super::super::arrival::{Arrival, IncidentFrom};
 use super::super::footprints::Link;
-use super::light::LEAST_COS;
-use super::link::{Linker, Parent};
+use super::light::MIN_COS;
+use super::link::{Linker, Parent, is_inside};
 use super::{eye::EyeVertex, light::LightVertex};
 use crate::PathSampler;
 use crate::light::End;
@@ -30,8 +30,8 @@ use translume_trace::Ray;
 
 /// Trials after which the estimate is cut off, without a ray and with one: a chance of less than one in a million, and a guard against
 /// endless loops where rounding forbids what happened.
-const MOST_TRIALS: u64 = 20_000_000;
-const MOST_RAYS: u64 = 300_000;
+const MAX_TRIALS: u64 = 20_000_000;
+const MAX_RAYS: u64 = 300_000;
 
 /// Cosines of directions of single precision are known so well.
 const ROUNDING: f32 = 1e-6;
@@ -51,28 +51,27 @@ impl Linker<'_> {
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x6368_616e, key, self.seed.1);
         let mut passing = sampler.branch(0x7061_7373);
         let center = y.hit.point.p;
-        let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
         let to_y = -arrival.wi;
         let frame = Frame::from_normal(to_y);
         // Whether the hit of a ray of this density per solid angle (parallel light: per area across) is a success.
-        let mut hits = |ray: Ray, pdf: f32, u: f32| {
+        let mut hits = |ray: Ray, pdf: f32| {
             self.world.arrives(&ray, Some(&mut passing), |point, t| {
-                let reach = self.reach(v, t);
-                let across = if matches!(reach, IncidentFrom::Direction(_)) { 1.0 } else { t * t };
-                let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, reach, before);
-                u < self.kernel(point.p.distance_squared(center), radius)
+                let from = self.incident_from(v, t);
+                let across = if matches!(from, IncidentFrom::Direction(_)) { 1.0 } else { t * t };
+                let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, from, v.first());
+                is_inside(point.p.distance_squared(center), radius) > 0.0
             })
         };
         if let Parent::Start(start) = parent
             && matches!(start.origin, End::Far)
         {
             let pdf = start.pdf_next();
-            let radius = (self.bandwidth.h[0] / (LEAST_COS * pdf).sqrt()).min(self.bandwidth.most);
+            let radius = (self.bandwidth.h[0] / (MIN_COS * pdf).sqrt()).min(self.bandwidth.max_radius);
             let trials = self.until(rays, |rays| {
                 let u = sampler.next_2d();
                 let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * radius).extend(0.0));
                 *rays += 1;
-                hits(self.lights.ray_beside(self.world, v, center + beside), pdf, sampler.next_1d())
+                hits(self.lights.ray_beside(self.world, v, center + beside), pdf)
             });
             return trials / (PI * radius * radius * pdf);
         }
@@ -81,7 +80,7 @@ impl Linker<'_> {
             Parent::Vertex(p, _) => p.hit.point.p,
         };
         let distance = (center - origin).length();
-        let sine = self.bandwidth.bound(v.first()).min(self.bandwidth.most / distance).min(1.0);
+        let sine = self.bandwidth.bound(v.first()).min(self.bandwidth.max_radius / distance).min(1.0);
         // A little wider, for rounding.
         let cos = (1.0 - sine * sine).sqrt() * (1.0 - 1e-6);
         let bounded = match parent {
@@ -110,25 +109,25 @@ impl Linker<'_> {
                 };
                 let inside = !s.flags.contains(Flags::DELTA) && s.wi.dot(to_y) >= cos;
                 *rays += u64::from(inside);
-                inside && hits(self.lights.ray_along(v, s.wi), s.pdf_w, sampler.next_1d())
+                inside && hits(self.lights.ray_along(v, s.wi), s.pdf_w)
             });
         }
-        let most = bounded.unwrap_or(1.0);
+        let max_pdf = bounded.unwrap_or(1.0);
         let trials = self.until(rays, |rays| {
             let u = sampler.next_2d();
             let d = frame.to_world(warp::uniform_cone(u.x, u.y, cos));
             let pdf = density(d);
-            let chosen = sampler.next_1d() * most < pdf;
+            let chosen = sampler.next_1d() * max_pdf < pdf;
             *rays += u64::from(chosen);
-            chosen && hits(self.lights.ray_along(v, d), pdf, sampler.next_1d())
+            chosen && hits(self.lights.ray_along(v, d), pdf)
         });
-        trials * warp::uniform_cone_pdf(cos) / most
+        trials * warp::uniform_cone_pdf(cos) / max_pdf
     }
 
     /// Trials up to and with the first success, which are told to count their rays.
     fn until(&self, rays: &mut u64, mut success: impl FnMut(&mut u64) -> bool) -> f32 {
-        let (mut n, most) = (1_u64, *rays + MOST_RAYS);
-        while !success(rays) && n < MOST_TRIALS && *rays < most && !self.stop.load(Ordering::Relaxed) {
+        let (mut n, max) = (1_u64, *rays + MAX_RAYS);
+        while !success(rays) && n < MAX_TRIALS && *rays < max && !self.stop.load(Ordering::Relaxed) {
             n += 1;
         }
         n as f32

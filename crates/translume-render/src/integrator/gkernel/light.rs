@@ -8,9 +8,7 @@
 use super::super::arrival::IncidentFrom;
 use super::super::footprints::{self, Footprint};
 use super::Plan;
-use super::correlation::Node;
-use super::keep::Keep;
-use super::weight::{Landing, Way};
+use super::weight::{LightPdf, Technique};
 use crate::light::{End, LightStart};
 use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
@@ -20,7 +18,6 @@ use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::frame::Frame;
-use translume_core::sampler::Sampler;
 use translume_trace::Ray;
 
 /// How footprints grow.
@@ -28,38 +25,35 @@ use translume_trace::Ray;
 pub(crate) struct Bandwidth {
     /// The paper's h: of vertices that come straight from lights, and of all others.
     pub(crate) h: [f32; 2],
-    /// Footprints grow along the path.
-    pub(crate) grow: bool,
     /// Largest radius over the distance to the parent.
-    pub(crate) share: f32,
+    pub(crate) max_share: f32,
     /// Largest radius.
-    pub(crate) most: f32,
+    pub(crate) max_radius: f32,
     /// Densities below this per solid angle, cosine at the surface included, count as this: what bounds a footprint's cone.
-    pub(crate) least: f32,
+    pub(crate) min_pdf: f32,
     /// Of photons that are merged.
     pub(crate) photon: f32,
 }
 
 /// The cosine below which parallel light's footprints grow no more.
-pub(crate) const LEAST_COS: f32 = 0.2;
+pub(crate) const MIN_COS: f32 = 0.2;
 
 impl Bandwidth {
-    /// Eq. 7: of a vertex of density `pdf` per area, in this `reach` of a parent with the footprint `before` (`None`: a light).
+    /// The radius of a vertex of density `pdf` per area; light comes to it `from` there, from a light itself if it is the `first`. [Bekaert 2003, Eq. 7] without the radius
+    /// of the vertex before, and bounded.
     #[inline]
-    pub(crate) fn radius(&self, pdf: f32, reach: IncidentFrom, before: Option<f32>) -> f32 {
-        let h = self.h[usize::from(before.is_some())];
-        if self.grow {
-            return h / pdf.sqrt() + before.unwrap_or(0.0);
-        }
-        match reach {
-            IncidentFrom::Point(d) => (d * (h / (pdf * d * d).max(self.least).sqrt()).min(self.share)).min(self.most),
-            IncidentFrom::Direction(across) => (h / pdf.max(LEAST_COS * across).sqrt()).min(self.most),
-        }
+    pub(crate) fn radius(&self, pdf: f32, from: IncidentFrom, first: bool) -> f32 {
+        let h = self.h[usize::from(!first)];
+        let radius = match from {
+            IncidentFrom::Point(d) => d * (h / (pdf * d * d).max(self.min_pdf).sqrt()).min(self.max_share),
+            IncidentFrom::Direction(across) => h / pdf.max(MIN_COS * across).sqrt(),
+        };
+        radius.min(self.max_radius)
     }
 
-    /// The largest radius over the distance, and the largest of parallel light of density `across`.
+    /// The largest radius over the distance.
     pub(crate) fn bound(&self, first: bool) -> f32 {
-        (self.h[usize::from(!first)] / self.least.sqrt()).min(self.share)
+        (self.h[usize::from(!first)] / self.min_pdf.sqrt()).min(self.max_share)
     }
 }
 
@@ -71,8 +65,8 @@ pub(crate) struct LightVertex {
     pub(crate) throughput: Rgb,
     /// Density per area, given the parent.
     pub(crate) pdf: f32,
-    /// See [`Landing`].
-    pub(crate) chance: f32,
+    /// See [`LightPdf`].
+    pub(crate) acceptance: f32,
     /// The footprint's.
     pub(crate) radius: f32,
     /// Number of the vertex before, or of the begin ([`LightVertex::first`]).
@@ -81,12 +75,10 @@ pub(crate) struct LightVertex {
     pub(crate) survival: f32,
     /// Chance with which what stands between let it pass straight.
     pub(crate) passed: f32,
-    /// Chance with which the path was kept.
-    pub(crate) kept: f32,
-    /// Weights of merging farther up the path, see [`Weighing`].
-    pub(crate) behind: f32,
-    /// Of emitter sampling here, where the parent is a light.
-    pub(crate) direct: f32,
+    /// dVC of the light's walk ([`super::weight`]): what may happen farther up the path.
+    pub(crate) d_vc: f32,
+    /// dVCM: emitter sampling here, where the parent is a light.
+    pub(crate) d_vcm: f32,
     /// Density of the parent by a walk from here over that of the light's walk, per density of the direction.
     pub(crate) back: f32,
     pub(crate) segments: u16,
@@ -121,14 +113,14 @@ impl LightVertex {
 
     /// For weights.
     #[inline]
-    pub(crate) fn landing(&self) -> Landing {
-        Landing { pdf: self.pdf, chance: self.chance }
+    pub(crate) fn light_pdf(&self) -> LightPdf {
+        LightPdf { pdf: self.pdf, acceptance: self.acceptance }
     }
 
     /// What may happen here.
     #[inline]
-    pub(crate) fn way(&self) -> Way {
-        Way::of(!self.linked() && !self.merged(), self.merged())
+    pub(crate) fn technique(&self) -> Technique {
+        Technique::of(!self.linked() && !self.merged(), self.merged())
     }
 
     /// cos θ at this vertex towards the parent.
@@ -140,27 +132,24 @@ impl LightVertex {
 
 /// What choosing among links takes of a light vertex, in one line of the cache.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Brief {
+pub(crate) struct CompactLightVertex {
     /// Unit direction back to the parent.
     pub(crate) wo: Vec3,
     /// Luminance of the throughput over R², over cos θ as well where it is a link.
     pub(crate) gain: f32,
-    /// Eq. 10.
-    pub(crate) printed: f32,
-    pub(crate) at: Landing,
+    pub(crate) at: LightPdf,
     pub(crate) back: f32,
-    pub(crate) behind: f32,
-    pub(crate) direct: f32,
-    pub(crate) way: Way,
+    pub(crate) d_vc: f32,
+    pub(crate) d_vcm: f32,
+    pub(crate) technique: Technique,
 }
 
-impl Brief {
+impl CompactLightVertex {
     pub(crate) fn new(v: &LightVertex) -> Self {
-        let (way, area) = (v.way(), v.radius * v.radius);
-        let cos = if way == Way::Merge { 1.0 } else { v.cos() };
-        let gain = luminance(v.throughput) / (area * cos * v.kept);
-        let printed = 1.0 / (area * v.cos());
-        Self { wo: v.hit.wo, gain, printed, at: v.landing(), back: v.back, behind: v.behind, direct: v.direct, way }
+        let technique = v.technique();
+        let cos = if technique == Technique::Merge { 1.0 } else { v.cos() };
+        let gain = luminance(v.throughput) / (v.radius * v.radius * cos);
+        Self { wo: v.hit.wo, gain, at: v.light_pdf(), back: v.back, d_vc: v.d_vc, d_vcm: v.d_vcm, technique }
     }
 }
 
@@ -171,9 +160,6 @@ pub(crate) struct LightPaths {
     pub(crate) count: u32,
     pub(crate) starts: Vec<LightStart>,
     pub(crate) vertices: Vec<LightVertex>,
-    /// Where weights look at whole paths: all vertices, and densities of the begins by walks from the camera.
-    pub(crate) nodes: Vec<Node>,
-    pub(crate) start_backs: Vec<f32>,
     pub(crate) rays: u64,
 }
 
@@ -187,8 +173,6 @@ pub(crate) struct Request<'a> {
     pub(crate) seed: u64,
     pub(crate) step: u64,
     pub(crate) count: u32,
-    /// Light paths of a step are a low-discrepancy sequence; if not, independent.
-    pub(crate) sobol: bool,
     /// Someone wants the render to end: what is traced will not be used.
     pub(crate) stop: &'a AtomicBool,
 }
@@ -206,10 +190,10 @@ impl LightPaths {
             .into_par_iter()
             .map(|c| {
                 let mut own = Self::default();
-                let mut buffer = Vec::new();
+                let mut walk = Vec::new();
                 (c * CHUNK..((c + 1) * CHUNK).min(request.count))
                     .take_while(|_| !request.stop.load(Ordering::Relaxed))
-                    .for_each(|i| own.add(request, i, &mut buffer));
+                    .for_each(|i| own.add(request, i, &mut walk));
                 own
             })
             .collect();
@@ -221,117 +205,79 @@ impl LightPaths {
                 let first = if v.first() { starts } else { vertices };
                 LightVertex { parent: v.parent + first, ..v }
             }));
-            all.nodes.extend(chunk.nodes);
-            all.start_backs.extend(chunk.start_backs);
             all.rays += chunk.rays;
         }
         all
     }
 
-    /// What each path may bring, by `keep`; 0 of those that light nothing.
-    pub(crate) fn brought(request: &Request, keep: &Keep) -> Vec<f32> {
-        let of = |path| {
-            let mut buffer = Vec::new();
-            let found = Self::walk(request, path, &mut 0, &mut buffer);
-            found.map_or(0.0, |_| keep.brings(&buffer))
-        };
-        (0..request.count).into_par_iter().map(of).collect()
-    }
-
-    /// A path: its vertices are appended to `out`.
-    fn walk(request: &Request, path: u32, rays: &mut u64, out: &mut Vec<Vertex>) -> Option<(LightPath, PathSampler)> {
+    fn add(&mut self, request: &Request, path: u32, walk: &mut Vec<Vertex>) {
+        walk.clear();
         // One path after the other of a low-discrepancy sequence, another sequence for each step.
-        let mut sampler = match request.sobol {
-            true => PathSampler::new(request.seed, STREAM | request.step, path.into()),
-            false => PathSampler::new(request.seed, STREAM | request.step << 32 | u64::from(path), 0),
-        };
+        let mut sampler = PathSampler::new(request.seed, STREAM | request.step, path.into());
         let (world, starts) = (request.world, request.plan.starts);
-        let light = subpath::light_path(world, starts, request.limits, &mut sampler, rays, out)?;
-        Some((light, sampler))
-    }
-
-    fn add(&mut self, request: &Request, path: u32, buffer: &mut Vec<Vertex>) {
-        buffer.clear();
-        let Some((light, sampler)) = Self::walk(request, path, &mut self.rays, buffer) else { return };
-        let kept = request.plan.keep.map_or(1.0, |keep| keep.chance(keep.brings(buffer)));
-        if kept < 1.0 && sampler.branch(0x6b65_6570).next_1d() >= kept {
-            return;
-        }
+        let light = subpath::light_path(world, starts, request.limits, &mut sampler, &mut self.rays, walk);
+        let Some(light) = light else { return };
         self.starts.push(light.start);
         let base = self.vertices.len();
-        for i in 0..buffer.len() {
-            let vertex = LightVertex { kept, ..self.vertex(request, &light, buffer, base, i) };
+        for i in 0..walk.len() {
+            let vertex = self.vertex(request, &light, walk, base, i);
             self.vertices.push(vertex);
-        }
-        if request.plan.weighing.alike > 0.0 {
-            self.start_backs.push(light.pdf_back);
-            for (v, vertex) in buffer.iter().zip(&self.vertices[base..]) {
-                let way = Way::of(v.delta, buffer.get(v.parent as usize).is_some_and(|p| p.delta));
-                let made = request.plan.weighing.made(way, vertex.landing());
-                self.nodes.push(Node { light: v.pdf, camera: v.pdf_back, made, delta: v.delta });
-            }
         }
     }
 
     fn vertex(&self, request: &Request, light: &LightPath, path: &[Vertex], base: usize, i: usize) -> LightVertex {
         let v = &path[i];
+        let weights = &request.plan.weights;
         let parent = path.get(v.parent as usize);
         let (p, wo) = (v.hit.point.p, v.hit.wo);
         let point = light.start.point();
-        let (reach, before, back) = match parent {
+        let (from, back) = match parent {
             Some(parent) => {
                 let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n(), wo);
-                let before = self.vertices[base + v.parent as usize].radius;
-                (IncidentFrom::Point((p - parent.hit.point.p).length()), Some(before), one / parent.pdf)
+                (IncidentFrom::Point((p - parent.hit.point.p).length()), one / parent.pdf)
             }
             None => {
-                let distance = (p - point.p).length();
-                let back = point.from_solid_angle(1.0, wo, distance) / light.start.pdf_begin();
-                (reach(&light.start, p), None, back)
+                let back = point.from_solid_angle(1.0, wo, (p - point.p).length()) / light.start.pdf_begin();
+                (incident_from(&light.start, p), back)
             }
         };
-        let behind = match parent {
-            None => request.plan.weighing.of_light(light.start.delta),
+        let d_vc = match parent {
+            None => weights.at_light(light.start.delta),
             Some(parent) => {
                 let above = path.get(parent.parent as usize);
                 let ratio = match above {
                     Some(above) => above.pdf_back / above.pdf,
                     None => light.pdf_back / light.start.pdf_begin(),
                 };
-                let way = Way::of(parent.delta, above.is_some_and(|a| a.delta));
+                let technique = Technique::of(parent.delta, above.is_some_and(|a| a.delta));
                 let before = &self.vertices[base + v.parent as usize];
-                request.plan.weighing.add(way, before.landing(), ratio, before.behind) + before.direct
+                weights.sum(technique, before.light_pdf(), ratio, before.d_vc) + before.d_vcm
             }
         };
-        let direct = match parent {
-            None if request.plan.weighing.emitters > 0.0 && !v.delta => {
-                let pdf =
-                    request.world.pdf_direct(&v.hit, &request.world.shading(&v.hit), request.plan.seen, &point, wo);
-                request.plan.weighing.direct(false, pdf / light.start.pdf_begin())
+        let d_vcm = match parent {
+            None if weights.emitters > 0.0 && !v.delta => {
+                let shading = request.world.shading(&v.hit);
+                let pdf = request.world.pdf_direct(&v.hit, &shading, request.plan.visibility, &point, wo);
+                weights.emitter_sampling(false, pdf / light.start.pdf_begin())
             }
             _ => 0.0,
         };
         let delta = parent.is_some_and(|p| p.delta);
         let usable = v.pdf > 0.0 && v.survival > 0.0 && v.passed > 0.0;
-        let (linked, merged) = (!delta && usable, delta && usable && request.plan.weighing.photons > 0.0);
-        let radius = match (merged, delta) {
-            (true, _) => request.bandwidth.photon,
-            // A mirror passes the footprint on as it is.
-            (false, true) => before.unwrap_or(0.0),
-            (false, false) => request.bandwidth.radius(v.pdf, reach, before),
-        };
+        let (linked, merged) = (!delta && usable, delta && usable && weights.photons > 0.0);
+        let radius =
+            if delta { request.bandwidth.photon } else { request.bandwidth.radius(v.pdf, from, parent.is_none()) };
         LightVertex {
             hit: v.hit,
             throughput: v.throughput,
             pdf: v.pdf,
-            chance: request.plan.weighing.landing(v.pdf, reach).chance,
+            acceptance: weights.light_pdf(v.pdf, from).acceptance,
             radius,
             parent: if v.parent == NONE { self.starts.len() as u32 - 1 } else { base as u32 + v.parent },
             survival: v.survival,
             passed: v.passed,
-            kept: 1.0,
-            behind,
-            direct,
+            d_vc,
+            d_vcm,
             back,
             segments: v.segments.min(u16::MAX.into()) as u16,
             flags: [(v.parent == NONE, FIRST), (linked, LINKED), (merged, MERGED)]
@@ -389,37 +335,29 @@ impl LightPaths {
     pub(crate) fn refit(&mut self, bandwidth: &Bandwidth) {
         for i in 0..self.vertices.len() {
             let v = &self.vertices[i];
-            let (reach, before) = if v.first() {
-                (reach(&self.starts[v.parent as usize], v.hit.point.p), None)
+            let from = if v.first() {
+                incident_from(&self.starts[v.parent as usize], v.hit.point.p)
             } else {
                 let parent = &self.vertices[v.parent as usize];
-                (IncidentFrom::Point((v.hit.point.p - parent.hit.point.p).length()), Some(parent.radius))
+                IncidentFrom::Point((v.hit.point.p - parent.hit.point.p).length())
             };
-            self.vertices[i].radius = match v.way() {
-                Way::Link => bandwidth.radius(v.pdf, reach, before),
-                Way::Merge => bandwidth.photon,
-                Way::Closed => before.unwrap_or(0.0),
+            self.vertices[i].radius = match v.technique() {
+                Technique::Merge => bandwidth.photon,
+                _ => bandwidth.radius(v.pdf, from, v.first()),
             };
         }
     }
 
     /// Those that something may happen at, in an order in which neighbours are near each other.
     pub(crate) fn footprints(&self) -> Vec<Footprint> {
-        let open = (0..).zip(&self.vertices).filter(|(_, v)| v.way() != Way::Closed);
+        let open = (0..).zip(&self.vertices).filter(|(_, v)| v.technique() != Technique::None);
         let all: Vec<_> = open.map(|(light, v)| Footprint { p: v.hit.point.p, radius: v.radius, light }).collect();
         footprints::sorted(&all)
-    }
-
-    /// Median of 1/p over the vertices that come straight from lights.
-    pub(crate) fn typical_area(&self) -> f32 {
-        let mut areas: Vec<f32> = self.vertices.iter().filter(|v| v.first()).map(|v| 1.0 / v.pdf).collect();
-        areas.sort_unstable_by(f32::total_cmp);
-        areas.get(areas.len() / 2).copied().unwrap_or(1.0)
     }
 }
 
 /// From `start` to `p`.
-fn reach(start: &LightStart, p: Vec3) -> IncidentFrom {
+fn incident_from(start: &LightStart, p: Vec3) -> IncidentFrom {
     let point = start.point();
     IncidentFrom::light(&point, start.pdf_next(), (p - point.p).length())
 }

@@ -12,11 +12,9 @@
 use super::super::arrival::{Arrival, IncidentFrom};
 use super::super::footprints::{self, Candidates, Link};
 use super::Plan;
-use super::correlation::{Ancestor, Node, Technique, Whole};
 use super::eye::{EyeVertex, emitter_samples};
-use super::light::{Bandwidth, Brief, LightPaths, LightVertex};
-use super::method::Normalise;
-use super::weight::Way;
+use super::light::{Bandwidth, CompactLightVertex, LightPaths, LightVertex};
+use super::weight::{Technique, mis_weight};
 use crate::light::{End, LightStart};
 use crate::points::Points;
 use crate::subpath::{Scattering, scattering};
@@ -87,9 +85,8 @@ pub(crate) struct Linker<'a> {
     pub(crate) lights: &'a LightPaths,
     pub(crate) bandwidth: Bandwidth,
     pub(crate) plan: Plan<'a>,
-    pub(crate) normalise: Normalise,
-    /// The kernel falls to the footprint's rim.
-    pub(crate) smooth: bool,
+    /// Chances of links are found without bias.
+    pub(crate) unbiased: bool,
     /// Longest path in segments.
     pub(crate) max: u32,
     /// Of the random numbers.
@@ -121,17 +118,17 @@ struct Common<'a> {
 }
 
 /// Largest answer of [`Linker::share`]: beyond, little light is lost and much noise spared.
-const MOST_SHARE: f32 = 32.0;
+const MAX_SHARE: f32 = 32.0;
 
 /// Largest footprint over that of the vertex at hand, for [`Linker::share`].
 const MARGIN: f32 = 1.3;
 
 /// Largest factor on it where y is met at a flatter angle.
-const WIDEST: f32 = 4.0;
+const MAX_WIDENING: f32 = 4.0;
 
 impl<'a> Linker<'a> {
-    /// Scores of `links`, in their order; `ancestors` are those of the camera vertices.
-    pub(crate) fn score(&self, links: &[Link], eyes: &[EyeVertex], ancestors: &[Ancestor]) -> Vec<Score> {
+    /// Scores of `links`, in their order.
+    pub(crate) fn score(&self, links: &[Link], eyes: &[EyeVertex]) -> Vec<Score> {
         links
             .par_chunks(256)
             .flat_map_iter(|chunk| {
@@ -143,13 +140,13 @@ impl<'a> Linker<'a> {
                         return Score { value: Rgb::ZERO, visible: false, rays: 0 };
                     }
                     if v.merged() {
-                        return self.merge(link, v, y, ancestors);
+                        return self.merge(link, v, y);
                     }
                     if common.as_ref().is_none_or(|c| c.0 != link.light) {
                         common = Some((link.light, Common { parent: self.parent(v), flat: None }));
                     }
                     match &mut common {
-                        Some((_, common)) => self.link(link, v, common, (y, eyes), ancestors),
+                        Some((_, common)) => self.link(link, v, common, (y, eyes)),
                         None => Score { value: Rgb::ZERO, visible: false, rays: 0 },
                     }
                 })
@@ -158,33 +155,26 @@ impl<'a> Linker<'a> {
     }
 
     /// The photon `v` where it is merged with `y`.
-    fn merge(&self, link: &Link, v: &LightVertex, y: &EyeVertex, ancestors: &[Ancestor]) -> Score {
+    fn merge(&self, link: &Link, v: &LightVertex, y: &EyeVertex) -> Score {
         let none = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         // Photons on the other side of a sheet, or around a corner, belong elsewhere.
         if u32::from(v.segments) + y.segments > self.max || v.hit.n().dot(y.hit.n()) < 0.8 {
             return none;
         }
         let Some(here) = scattering(self.world, &y.hit, &y.shading, v.hit.wo, y.hit.wo) else { return none };
-        let weighing = &self.plan.weighing;
-        let weight = if weighing.alike > 0.0 {
-            let mut whole = self.down_to(v, here.pdf_to_light);
-            let joint = (v.pdf, weighing.made(Way::Merge, v.landing()), here.pdf_to_camera);
-            self.joined(&mut whole, y, joint, ancestors)
-        } else {
-            let own = weighing.own(Way::Merge, v.landing());
-            let camera = y.nearer(weighing, v.pdf, here.pdf_to_camera);
-            let light = weighing.times(here.pdf_to_light * v.back, v.behind);
-            own / (own + camera + light)
-        };
-        let kernel = self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
-        let area = PI * v.radius * v.radius * self.lights.count as f32 * self.kernel_mean();
-        let value = v.throughput * here.f * y.throughput * (weight * kernel * link.weight / (area * v.kept));
+        let weights = &self.plan.weights;
+        let own = weights.density(Technique::Merge, v.light_pdf());
+        let camera = y.camera_sum(weights, v.pdf, here.pdf_to_camera);
+        let weight = mis_weight(own, camera, weights.onward(here.pdf_to_light * v.back, v.d_vc));
+        let area = PI * v.radius * v.radius * self.lights.count as f32;
+        let inside = is_inside(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
+        let value = v.throughput * here.f * y.throughput * (weight * inside * link.weight / area);
         Score { value, visible: true, rays: 0 }
     }
 
     /// Where the light at `v` comes from, a hit at ray parameter `t`.
     #[inline]
-    pub(super) fn reach(&self, v: &LightVertex, t: f32) -> IncidentFrom {
+    pub(super) fn incident_from(&self, v: &LightVertex, t: f32) -> IncidentFrom {
         if v.first() {
             let start = &self.lights.starts[v.parent as usize];
             if matches!(start.origin, End::Far) {
@@ -192,21 +182,6 @@ impl<'a> Linker<'a> {
             }
         }
         IncidentFrom::Point(t)
-    }
-
-    /// The kernel at this squared distance from a footprint's middle: 1, or Epanechnikov's.
-    #[inline]
-    pub(super) fn kernel(&self, distance_squared: f32, radius: f32) -> f32 {
-        match (distance_squared / (radius * radius), self.smooth) {
-            (t, _) if t > 1.0 => 0.0,
-            (t, true) => 1.0 - t,
-            (_, false) => 1.0,
-        }
-    }
-
-    /// Its mean over a disc.
-    fn kernel_mean(&self) -> f32 {
-        if self.smooth { 0.5 } else { 1.0 }
     }
 
     fn parent(&self, v: &LightVertex) -> Parent<'a> {
@@ -217,14 +192,7 @@ impl<'a> Linker<'a> {
         Parent::Vertex(parent, Box::new(self.world.shading(&parent.hit)))
     }
 
-    fn link(
-        &self,
-        link: &Link,
-        v: &LightVertex,
-        common: &mut Common,
-        (y, eyes): (&EyeVertex, &[EyeVertex]),
-        ancestors: &[Ancestor],
-    ) -> Score {
+    fn link(&self, link: &Link, v: &LightVertex, common: &mut Common, (y, eyes): (&EyeVertex, &[EyeVertex])) -> Score {
         let parent = &common.parent;
         let mut score = Score { value: Rgb::ZERO, visible: false, rays: 0 };
         let before = if let Parent::Vertex(p, _) = parent { u32::from(p.segments) } else { 0 };
@@ -250,29 +218,26 @@ impl<'a> Linker<'a> {
         score.visible = true;
         let cos_y = y.hit.n().dot(arrival.wi).abs();
         // One over the area across the light in which light paths have y in their footprints.
-        let kernel = match self.normalise {
-            Normalise::Unbiased => {
-                self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
-            }
-            Normalise::Rays
-                if v.passed < 1.0
-                    || !*common.flat.get_or_insert_with(|| self.lights.is_flat(self.world, v, &mut score.rays)) =>
-            {
-                self.share(link, v, &arrival, y, &mut score.rays) / (PI * v.radius * v.radius)
-            }
-            _ => 1.0 / (PI * v.radius * v.radius * v.cos() * self.kernel_mean() * v.passed),
+        let kernel = if self.unbiased {
+            self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
+        } else if v.passed < 1.0
+            || !*common.flat.get_or_insert_with(|| self.lights.is_flat(self.world, v, &mut score.rays))
+        {
+            self.share(link, v, &arrival, y, &mut score.rays) / (PI * v.radius * v.radius)
+        } else {
+            1.0 / (PI * v.radius * v.radius * v.cos() * v.passed)
         };
-        let kernel = kernel * self.kernel(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
+        let kernel = kernel * is_inside(v.hit.point.p.distance_squared(y.hit.point.p), v.radius);
         let clear = || visible == Rgb::ONE && (!self.world.has_null() || self.world.is_clear(&segment));
-        let weight = match self.weighs(parent, (y, eyes), clear, &mut score.rays) {
-            None => self.weight(parent, &arrival, &here, (y, cos_y, 1.0), ancestors),
+        let weight = match self.representative(parent, (y, eyes), clear, &mut score.rays) {
+            None => self.weight(parent, &arrival, &here, (y, cos_y, 1.0)),
             Some((first, size)) => {
                 let Some(arrival) = self.arrival(parent, first.hit.point.p) else { return score };
                 let Some(here) = scattering(self.world, &first.hit, &first.shading, arrival.wi, first.hit.wo) else {
                     return score;
                 };
                 let cos = first.hit.n().dot(arrival.wi).abs();
-                self.weight(parent, &arrival, &here, (first, cos, size), ancestors)
+                self.weight(parent, &arrival, &here, (first, cos, size))
             }
         };
         let paths = self.lights.count as f32;
@@ -280,7 +245,7 @@ impl<'a> Linker<'a> {
             * visible
             * here.f
             * y.throughput
-            * (cos_y * kernel * weight * link.weight / (v.survival * v.kept * paths));
+            * (cos_y * kernel * weight * link.weight / (v.survival * paths));
         score
     }
 
@@ -301,50 +266,48 @@ impl<'a> Linker<'a> {
         let mut passing = sampler.branch(0x7061_7373);
         let frame = Frame::from_normal(arrival.wi);
         let center = y.hit.point.p;
-        let before = (!v.first()).then(|| self.lights.vertices[v.parent as usize].radius);
         let cos_y = y.hit.n().dot(arrival.wi).abs();
-        let margin = MARGIN * (v.cos() / cos_y).sqrt().clamp(1.0, WIDEST);
-        let trials = (MOST_SHARE * margin * margin) as u32;
+        let margin = MARGIN * (v.cos() / cos_y).sqrt().clamp(1.0, MAX_WIDENING);
+        let trials = (MAX_SHARE * margin * margin) as u32;
         for tried in 1..=trials {
             let u = sampler.next_2d();
             let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * (margin * v.radius)).extend(0.0));
             let ray = self.lights.ray_beside(self.world, v, center + beside);
             *rays += 1;
-            let u = if self.smooth { sampler.next_1d() } else { 0.0 };
             let found = self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
-                let radius = self.bandwidth.radius(pdf, self.reach(v, t), before);
-                u < self.kernel(point.p.distance_squared(center), radius)
+                let radius = self.bandwidth.radius(pdf, self.incident_from(v, t), v.first());
+                is_inside(point.p.distance_squared(center), radius) > 0.0
             });
             if found {
                 return tried as f32 / (margin * margin);
             }
         }
-        MOST_SHARE
+        MAX_SHARE
     }
 
     /// About the weight that `v` will have at `y`, as if both scattered evenly: for choosing.
     #[inline]
-    pub(crate) fn likely_weight(&self, v: &Brief, y: &EyeVertex) -> f32 {
-        let w = &self.plan.weighing;
-        let own = w.own(v.way, v.at);
-        let camera = y.nearer(w, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
-        let direct = w.times(w.sampled(y.depth == 0) / w.sampled(false), v.direct);
-        let light = w.times(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.behind) + direct;
-        own / (own + camera + light)
+    pub(crate) fn likely_weight(&self, v: &CompactLightVertex, y: &EyeVertex) -> f32 {
+        let w = &self.plan.weights;
+        let own = w.density(v.technique, v.at);
+        let camera = y.camera_sum(w, v.at.pdf, y.hit.n().dot(y.hit.wo).abs() * FRAC_1_PI);
+        let direct = w.onward(w.emitter_factor(y.depth == 0) / w.emitter_factor(false), v.d_vcm);
+        let light = w.onward(y.hit.n().dot(v.wo).abs() * FRAC_1_PI * v.back, v.d_vc) + direct;
+        mis_weight(own, camera, light)
     }
 
     /// Density with which emitter sampling at `y` finds the light's point.
     fn pdf_direct(&self, start: &LightStart, arrival: &Arrival, y: &EyeVertex) -> f32 {
-        if self.plan.weighing.emitters == 0.0 {
+        if self.plan.weights.emitters == 0.0 {
             return 0.0;
         }
         let samples = emitter_samples(self.world, y.depth) as f32;
-        samples * self.world.pdf_direct(&y.hit, &y.shading, self.plan.seen, &start.point(), arrival.wi)
+        samples * self.world.pdf_direct(&y.hit, &y.shading, self.plan.visibility, &start.point(), arrival.wi)
     }
 
     /// The camera vertex whose weights a link takes instead of those of `y`, and the factor on its density; see [`super::share`].
-    fn weighs<'e>(
+    fn representative<'e>(
         &self,
         parent: &Parent,
         (y, eyes): (&EyeVertex, &'e [EyeVertex<'a>]),
@@ -352,7 +315,7 @@ impl<'a> Linker<'a> {
         rays: &mut u64,
     ) -> Option<(&'e EyeVertex<'a>, f32)> {
         let (group, Parent::Vertex(p, shading)) = (y.group?, parent) else { return None };
-        group.weighs(self.world, (y, eyes), (&p.hit, shading), clear, rays)
+        group.representative(self.world, (y, eyes), (&p.hit, shading), clear, rays)
     }
 
     /// Of a link to `y`, with so many times the camera's density of the parent.
@@ -362,85 +325,32 @@ impl<'a> Linker<'a> {
         arrival: &Arrival,
         here: &Scattering,
         (y, cos_y, times): (&EyeVertex, f32, f32),
-        ancestors: &[Ancestor],
     ) -> f32 {
         let onto_y = arrival.pdf_across * cos_y;
-        let at = self.plan.weighing.landing(onto_y, arrival.from);
+        let w = &self.plan.weights;
+        let own = w.density(Technique::Connect, w.light_pdf(onto_y, arrival.from));
         let parent_pdf = here.pdf_to_light * arrival.onto_parent * times;
-        if self.plan.weighing.alike > 0.0 {
-            let mut whole = self.through(parent, arrival, y, parent_pdf);
-            let joint = (onto_y, self.plan.weighing.made(Way::Link, at), here.pdf_to_camera);
-            return self.joined(&mut whole, y, joint, ancestors);
-        }
-        let own = self.plan.weighing.own(Way::Link, at);
-        let camera = y.nearer(&self.plan.weighing, onto_y, here.pdf_to_camera);
+        let camera = y.camera_sum(w, onto_y, here.pdf_to_camera);
         let light = match parent {
             Parent::Start(start) => {
-                let (w, begin) = (&self.plan.weighing, start.pdf_begin());
-                w.times(parent_pdf / begin, w.of_light(start.delta))
-                    + w.direct(y.depth == 0, self.pdf_direct(start, arrival, y) / begin)
+                let begin = start.pdf_begin();
+                w.onward(parent_pdf / begin, w.at_light(start.delta))
+                    + w.emitter_sampling(y.depth == 0, self.pdf_direct(start, arrival, y) / begin)
             }
             Parent::Vertex(p, _) => {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
                 // Light paths take it to be one sample.
                 let samples = emitter_samples(self.world, y.depth + 1) as f32;
-                let w = &self.plan.weighing;
-                let inner = w.add(p.way(), p.landing(), there * p.back, p.behind) + w.times(samples, p.direct);
-                self.plan.weighing.times(parent_pdf / p.pdf, inner)
+                let inner = w.sum(p.technique(), p.light_pdf(), there * p.back, p.d_vc) + w.onward(samples, p.d_vcm);
+                w.onward(parent_pdf / p.pdf, inner)
             }
         };
-        own / (own + camera + light)
-    }
-
-    /// The path of a link from `parent` up to that, of this density by the camera's walk.
-    fn through(&self, parent: &Parent, arrival: &Arrival, y: &EyeVertex, parent_pdf: f32) -> Whole {
-        match parent {
-            Parent::Start(start) => {
-                let direct = self.plan.weighing.sampled(y.depth == 0) * self.pdf_direct(start, arrival, y);
-                begun(start, parent_pdf, direct)
-            }
-            Parent::Vertex(p, _) => {
-                let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
-                let mut whole = self.down_to(p, there);
-                if p.first() {
-                    whole.direct *= emitter_samples(self.world, y.depth + 1) as f32;
-                }
-                let at = p.landing();
-                let made = self.plan.weighing.made(p.way(), at);
-                whole.nodes.push(Node { light: p.pdf, camera: parent_pdf, made, delta: false });
-                whole
-            }
-        }
-    }
-
-    /// A light path up to the vertex before `v`, which a walk from there finds with the density `pdf_w` of the direction.
-    fn down_to(&self, v: &LightVertex, pdf_w: f32) -> Whole {
-        let (vertices, nodes) = (&self.lights.vertices, &self.lights.nodes);
-        let parent = |v: &&LightVertex| (!v.first()).then(|| &vertices[v.parent as usize]);
-        let first = std::iter::successors(Some(v), parent).last().unwrap_or(v);
-        let start = &self.lights.starts[first.parent as usize];
-        let begin = start.pdf_begin();
-        let back = if v.first() { pdf_w * v.back * begin } else { self.lights.start_backs[first.parent as usize] };
-        let mut whole = begun(start, back, first.direct.sqrt() * begin);
-        let above = std::iter::successors(Some(v), parent).filter(|v| !v.first()).map(|v| nodes[v.parent as usize]);
-        whole.nodes.extend(above);
-        whole.nodes[1..].reverse();
-        if let Some(last) = whole.nodes[1..].last_mut() {
-            last.camera = pdf_w * v.back * last.light;
-        }
-        whole
-    }
-
-    /// Weight of merging at `y`, of a path whose light's part is there; `joint` is of [`EyeVertex::ascend`].
-    fn joined(&self, whole: &mut Whole, y: &EyeVertex, joint: (f32, f32, f32), ancestors: &[Ancestor]) -> f32 {
-        let number = whole.nodes.len();
-        y.ascend(&self.plan.weighing, joint, ancestors, whole);
-        whole.weight(Technique::Joined(number), self.plan.weighing.alike)
+        mis_weight(own, camera, light)
     }
 }
 
-/// The begin of a light path, of this density by a walk from the camera.
-fn begun(start: &LightStart, camera: f32, direct: f32) -> Whole {
-    let camera = if start.delta { 0.0 } else { camera };
-    Whole::from_light(start.pdf_begin(), camera, matches!(start.origin, End::Surface(_)), direct)
+/// 1 at this squared distance from a footprint's middle if that is inside, or 0.
+#[inline]
+pub(super) fn is_inside(distance_squared: f32, radius: f32) -> f32 {
+    if distance_squared / (radius * radius) > 1.0 { 0.0 } else { 1.0 }
 }

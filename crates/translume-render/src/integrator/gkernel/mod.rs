@@ -8,57 +8,52 @@
 //! camera paths, one a step or more.
 //!
 //! Nothing needs to be set: h is found by the number of footprints per camera vertex of direct light (M = 10), the number
-//! of trial links by the share that a pilot found unoccluded, per tile for the first vertex and per depth beyond.
+//! of trial links by the share that a prepass found unoccluded, per tile for the first vertex and per depth beyond.
 //!
-//! Departures, all off with the option `printed`: R is at most 0.35 of the distance to the parent and h shrinks with the
+//! Departures from the paper, whose own form is `gkernel-2003`: R is at most 0.35 of the distance to the parent and h shrinks with the
 //! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
-//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; merges are weighed by their number (see
-//! `weight`); neighbouring camera paths share what they find beyond their first surface (see `share`).
+//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; lights are sampled at camera vertices as well; merges are weighed by their
+//! number (see `weight`); neighbouring camera paths share what they find beyond their first surface (see `share`).
 //!
 //! Limits: light that mirrors and glass focus is found by merging photons, not by connecting light paths to the camera; no
 //! participating media.
 
+mod calibration;
 mod chance;
-mod correlation;
 mod eye;
-mod keep;
 mod light;
 mod link;
-mod method;
-mod pilot;
+mod options;
 mod pixels;
 mod share;
 mod weight;
 
 use super::footprints::{Candidates, Footprint};
-use super::{Integrator, Options, Settings};
+use super::{Integrator, Settings};
 use crate::film::{Film, Tile};
-use crate::light::{Seen, Starts};
+use crate::light::{LightVisibilityCache, Starts};
 use crate::render::Shot;
 use crate::subpath::Limits;
 use crate::world::World;
 use crate::{Result, Rgb};
-use correlation::Ancestor;
+use calibration::{Calibration, VisibilityEstimate};
 use eye::EyeVertex;
-use keep::Keep;
-use light::{Bandwidth, Brief, LightPaths, LightVertex, Request};
+use light::{Bandwidth, CompactLightVertex, LightPaths, LightVertex, Request};
 use link::Linker;
-use method::Method;
-pub(crate) use method::OPTIONS;
-use pilot::{Outlook, Pilot};
+pub(crate) use options::{OPTIONS, REMOVED};
 use rayon::prelude::*;
-use share::{Group, Share};
+use share::{Group, SuffixShare};
 use std::collections::HashMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use weight::{Way, Weighing};
+use weight::{MisWeights, Technique};
 
 /// See the module.
 pub struct GKernel {
     settings: Settings,
-    /// Light paths of a step; 0: an eighth as many as pixels, at least [`FEWEST_PATHS`].
+    /// Light paths of a step; 0: an eighth as many as pixels, at least [`MIN_PATHS`].
     light_paths: u32,
     /// Camera paths of a pixel in each step.
     eye_paths: u64,
@@ -66,44 +61,38 @@ pub struct GKernel {
     shared: u32,
     /// Camera paths for each that goes on for all of them.
     sharers: usize,
-    /// Unoccluded links that a camera path should get, or each of its vertices: the paper's M.
+    /// Unoccluded links that a camera path should get.
     links: f32,
-    /// Part of the light paths that lights share alike.
-    quota: f32,
-    method: Method,
-    pilot: OnceLock<Pilot>,
+    /// Chances of links are found without bias.
+    unbiased: bool,
+    /// Photons are merged behind mirrors and glass.
+    caustics: bool,
+    /// Lights are sampled at camera vertices as well.
+    emitters: bool,
+    calibration: OnceLock<Calibration>,
     /// Of the view that is being taken.
-    outlook: Mutex<Option<Arc<Outlook>>>,
+    visibility: Mutex<Option<Arc<VisibilityEstimate>>>,
     /// Light paths by their step; kept where several views want them.
     kept: Mutex<HashMap<u64, Arc<Traced>>>,
     keep: AtomicBool,
     counts: Counts,
 }
 
-/// Unoccluded links that a camera path gets unless the user says otherwise.
-const LINKS: f32 = 3.0;
-
-/// The paper's M, of each vertex.
-const PRINTED_LINKS: f32 = 10.0;
-
-/// Side of the blocks of pixels that share, unless the user says otherwise.
-const SHARED: u32 = 8;
-
-/// Most trial links over the unoccluded links that are wanted.
-const MOST_TRIALS: f32 = 8.0;
+/// Largest number of trial links over the unoccluded links that are wanted.
+const MAX_TRIALS: f32 = 8.0;
 
 /// Light paths of a step unless the user says otherwise.
-const FEWEST_PATHS: u32 = 5_000;
-const STEADY_PATHS: u32 = 10_000;
-const MOST_PATHS: u32 = 1_000_000;
+const MIN_PATHS: u32 = 5_000;
+const ENOUGH_PATHS: u32 = 10_000;
+const MAX_PATHS: u32 = 1_000_000;
 
 /// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it is larger, so
 /// that a place gets as many photons. Like pixels: their number is that of light paths.
 const PHOTON: f32 = 0.004;
 const PHOTON_PATHS: f32 = 150_000.0;
 
-/// See [`Bandwidth::least`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets straight.
-const LEAST: f32 = 0.25 * FRAC_1_PI;
+/// See [`Bandwidth::min_pdf`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets straight.
+const MIN_PDF: f32 = 0.25 * FRAC_1_PI;
 
 /// Camera paths of a block.
 const BLOCK: usize = 1 << 15;
@@ -114,24 +103,22 @@ const ALPHA: f32 = 2.0 / 3.0;
 /// How paths are drawn and weighed.
 #[derive(Clone, Copy)]
 struct Plan<'a> {
-    weighing: Weighing,
+    weights: MisWeights,
     /// Where light paths begin.
     starts: &'a Starts,
-    /// What is known of the lights that camera vertices see, for sampling them.
-    seen: Option<&'a Seen>,
-    /// Which light paths are kept.
-    keep: Option<&'a Keep>,
+    /// What is known of the lights that are visible from camera vertices, for sampling them.
+    visibility: Option<&'a LightVisibilityCache>,
 }
 
 /// The light paths of a step.
 struct Traced {
     lights: LightPaths,
-    briefs: Vec<Brief>,
+    compact: Vec<CompactLightVertex>,
     footprints: Vec<Footprint>,
 }
 
 /// Most light vertices that are kept for further views: about 2 GiB of them.
-const MOST_KEPT: usize = 9_000_000;
+const MAX_KEPT: usize = 9_000_000;
 
 /// What was done, for `--json`.
 #[derive(Default)]
@@ -154,83 +141,41 @@ struct Block<'a> {
     places: Vec<(u32, u32)>,
     radiance: Vec<Rgb>,
     /// What was found beyond vertices that several camera paths share, and what each gets of it.
-    tails: Vec<Rgb>,
-    shares: Vec<Share>,
-    /// Where weights look at whole paths: those of the camera.
-    ancestors: Vec<Ancestor>,
+    suffixes: Vec<Rgb>,
+    shares: Vec<SuffixShare>,
     rays: u64,
 }
 
 impl Block<'_> {
-    /// Where light belongs that was found on a path, or in its tail.
-    fn light_of(&mut self, path: u32, tail: Option<u32>) -> &mut Rgb {
-        match tail {
-            Some(tail) => &mut self.tails[tail as usize],
+    /// Where light belongs that was found on a path, or in its suffix.
+    fn light_of(&mut self, path: u32, suffix: Option<u32>) -> &mut Rgb {
+        match suffix {
+            Some(suffix) => &mut self.suffixes[suffix as usize],
             None => &mut self.radiance[path as usize],
         }
     }
 }
 
 impl GKernel {
-    /// With these settings and options.
-    ///
-    /// # Errors
-    /// [`crate::Error::Mismatch`] for options that are none.
-    pub fn new(settings: Settings, options: &Options) -> Result<Self> {
-        let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
-        let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
-        let method = Method::new(options)?;
-        let shared = match options.number("shared", 0..=16)? as u32 {
-            0 if method.weights => SHARED,
-            n => n.max(1),
-        };
-        let sharers = options.number("sharers", 1..=256)? as usize;
-        let quota = options.number("quota", 0..=100)? as f32 / 100.0;
-        let links = match (options.number("links", 0..=1000)?, method.target) {
-            (0, true) => LINKS,
-            (0, false) => PRINTED_LINKS,
-            (n, _) => n as f32,
-        };
-        Ok(Self {
-            settings,
-            light_paths,
-            eye_paths,
-            shared,
-            sharers,
-            links,
-            quota,
-            method,
-            pilot: OnceLock::new(),
-            outlook: Mutex::default(),
-            kept: Mutex::default(),
-            keep: AtomicBool::new(false),
-            counts: Counts::default(),
-        })
-    }
-
     /// h² of a step over the first one's: progressive photon mapping.
-    fn shrunk(&self, step: u64) -> f32 {
-        let factor = |i: u64| (i as f32 + ALPHA) / (i as f32 + 1.0);
-        if self.method.shrink { (1..=step.min(100_000)).map(factor).product() } else { 1.0 }
+    fn shrunk(step: u64) -> f32 {
+        (1..=step.min(100_000)).map(|i| (i as f32 + ALPHA) / (i as f32 + 1.0)).product()
     }
 
     /// Of a step whose h, before it shrinks, is `h`.
     fn bandwidth(&self, shot: &Shot, step: u64, h: [f32; 2]) -> Bandwidth {
-        let (world, shrink) = (shot.world, self.shrunk(step).sqrt());
+        let (world, shrink) = (shot.world, Self::shrunk(step).sqrt());
         let (h, radius) = (h.map(|h| h * shrink), world.bounding_sphere().1);
         let photon = PHOTON * radius * shrink * (PHOTON_PATHS / self.light_paths(shot) as f32).sqrt().min(6.0);
-        match self.method.shrink {
-            true => Bandwidth { h, grow: false, share: 0.35, most: 0.1 * radius, least: LEAST, photon },
-            false => Bandwidth { h, grow: true, share: f32::INFINITY, most: f32::INFINITY, least: 0.0, photon },
-        }
+        Bandwidth { h, max_share: 0.35, max_radius: 0.1 * radius, min_pdf: MIN_PDF, photon }
     }
 
-    fn weighing(&self, (scale, steadiness): (f32, f32), bandwidth: &Bandwidth, light_paths: u32) -> Weighing {
+    /// For this many links of a vertex, and this variance factor.
+    fn mis_weights(&self, (links, factor): (f32, f32), bandwidth: &Bandwidth, light_paths: u32) -> MisWeights {
         let photons = PI * bandwidth.photon.powi(2) * light_paths as f32;
-        let photons = if self.method.caustics { photons } else { 0.0 };
-        let emitters = if self.method.emitters { steadiness } else { 0.0 };
-        let (printed, alike) = (!self.method.weights, self.method.correlation);
-        Weighing { scale, printed, emitters, photons, least: bandwidth.least, alike }
+        let photons = if self.caustics { photons } else { 0.0 };
+        let emitters = if self.emitters { factor } else { 0.0 };
+        MisWeights { links, emitters, photons, min_pdf: bandwidth.min_pdf }
     }
 
     fn light_paths(&self, shot: &Shot) -> u32 {
@@ -238,9 +183,9 @@ impl GKernel {
         if self.light_paths > 0 {
             return self.light_paths;
         }
-        // In a small picture as many as make steady photons, but not so many that a step is mostly light paths.
-        let steady = (w * h / 3).clamp(FEWEST_PATHS, STEADY_PATHS);
-        (w * h / 8).clamp(steady, MOST_PATHS)
+        // In a small picture enough for photons without much noise, but not so many that a step is mostly light paths.
+        let enough = (w * h / 3).clamp(MIN_PATHS, ENOUGH_PATHS);
+        (w * h / 8).clamp(enough, MAX_PATHS)
     }
 
     fn request<'a>(
@@ -261,8 +206,7 @@ impl GKernel {
             plan,
             seed: shot.seed,
             step,
-            count: (self.light_paths(shot) as f32 / plan.keep.map_or(1.0, |keep| keep.share)) as u32,
-            sobol: self.method.sobol,
+            count: self.light_paths(shot),
             stop,
         }
     }
@@ -273,41 +217,36 @@ impl GKernel {
             lights,
             bandwidth: request.bandwidth,
             plan: request.plan,
-            normalise: self.method.normalise,
-            smooth: self.method.smooth,
+            unbiased: self.unbiased,
             max: self.settings.most_segments(),
             seed: (request.seed, sample),
             stop: request.stop,
         }
     }
 
-    /// Camera vertices that share their trial links: those of a path, or each alone.
+    /// Camera vertices that share their trial links: those of a path.
     fn groups(&self, eyes: &[EyeVertex]) -> Vec<Range<usize>> {
         let mut begin = 0;
-        let same = |a: &EyeVertex, b: &EyeVertex| self.method.target && a.path == b.path;
         let group = |chunk: &[EyeVertex]| {
             begin += chunk.len();
             begin - chunk.len()..begin
         };
-        eyes.chunk_by(same).map(group).collect()
+        eyes.chunk_by(|a, b| a.path == b.path).map(group).collect()
     }
 
     /// How likely a candidate becomes a trial link, relative to the others: what it would bring if the surface were white
     /// and nothing stood between.
-    fn strength(&self, linker: &Linker, v: &Brief, eye: &EyeVertex) -> f32 {
-        if !self.method.target {
-            return v.printed;
-        }
-        let cos_y = if v.way == Way::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
+    fn strength(&self, linker: &Linker, v: &CompactLightVertex, eye: &EyeVertex) -> f32 {
+        let cos_y = if v.technique == Technique::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
         v.gain * cos_y * eye.gain * (linker.likely_weight(v, eye) + 0.02)
     }
 
-    /// What the pilot found about this view.
-    fn outlook(&self, shot: &Shot, pilot: &Pilot, stop: &AtomicBool) -> Arc<Outlook> {
-        let mut known = self.outlook.lock().unwrap_or_else(PoisonError::into_inner);
+    /// What is known of occlusion in this view.
+    fn visibility(&self, shot: &Shot, calibration: &Calibration, stop: &AtomicBool) -> Arc<VisibilityEstimate> {
+        let mut known = self.visibility.lock().unwrap_or_else(PoisonError::into_inner);
         match &*known {
-            Some(outlook) if outlook.view == shot.view => outlook.clone(),
-            _ => known.insert(Arc::new(self.look(shot, pilot, stop))).clone(),
+            Some(estimate) if estimate.view == shot.view => estimate.clone(),
+            _ => known.insert(Arc::new(self.estimate_visibility(shot, calibration, stop))).clone(),
         }
     }
 
@@ -319,12 +258,12 @@ impl GKernel {
             return (traced.clone(), 0);
         }
         let lights = LightPaths::trace(request);
-        let briefs = lights.vertices.iter().map(Brief::new).collect();
+        let compact = lights.vertices.iter().map(CompactLightVertex::new).collect();
         let rays = lights.rays;
         let footprints = lights.footprints();
-        let traced = Arc::new(Traced { lights, briefs, footprints });
-        let stored: usize = kept.values().map(|t| t.briefs.len()).sum();
-        if self.keep.load(Ordering::Relaxed) && stored + traced.briefs.len() <= MOST_KEPT {
+        let traced = Arc::new(Traced { lights, compact, footprints });
+        let stored: usize = kept.values().map(|t| t.compact.len()).sum();
+        if self.keep.load(Ordering::Relaxed) && stored + traced.compact.len() <= MAX_KEPT {
             kept.insert(request.step, traced.clone());
         }
         (traced, rays)
@@ -338,43 +277,45 @@ impl GKernel {
         aovs: &[crate::film::Aov],
         (first_tile, sample): (usize, u64),
         (linker, traced): (&Linker, &Traced),
-        outlook: &Outlook,
+        visibility: &VisibilityEstimate,
     ) -> u64 {
         let (mut places, mut radiance) = (Vec::new(), Vec::new());
-        let (mut tails, mut shares) = (Vec::new(), Vec::new());
-        let (mut eyes, mut ancestors) = (Vec::new(), Vec::new());
-        let mut wanted = Vec::new();
+        let (mut suffixes, mut shares) = (Vec::new(), Vec::new());
+        let (mut eyes, mut wanted) = (Vec::new(), Vec::new());
         let mut rays = 0;
         for mut part in self.eyes(shot, linker.plan, tiles, sample, linker.stop) {
-            let [base, first_tail, first_eye] = [radiance.len(), tails.len(), eyes.len()].map(|n| n as u32);
-            let first_ancestor = ancestors.len() as u32;
-            ancestors.extend(part.ancestors.iter().map(|a| a.moved(first_ancestor)));
+            let [base, first_suffix, first_eye] = [radiance.len(), suffixes.len(), eyes.len()].map(|n| n as u32);
             places.append(&mut part.places);
             radiance.append(&mut part.radiance);
-            tails.append(&mut part.tails);
-            shares.extend(part.shares.iter().map(|s| Share { tail: s.tail + first_tail, path: s.path + base, ..*s }));
+            suffixes.append(&mut part.suffixes);
+            shares.extend(part.shares.iter().map(|s| SuffixShare {
+                suffix: s.suffix + first_suffix,
+                path: s.path + base,
+                ..*s
+            }));
             for eye in part.eyes.drain(..) {
                 let path = eye.path + base;
-                wanted.push(outlook.trials(self.links, first_tile + places[path as usize].0 as usize, eye.depth));
+                let tile = first_tile + places[path as usize].0 as usize;
+                wanted.push(visibility.trials(self.links, tile, eye.depth));
                 let later = |g: Group| Group { first: g.first + first_eye, next: g.next.map(|n| n + first_eye), ..g };
                 eyes.push(EyeVertex {
                     path,
-                    tail: eye.tail.map(|t| t + first_tail),
+                    suffix: eye.suffix.map(|t| t + first_suffix),
                     group: eye.group.map(later),
-                    above: correlation::moved(eye.above, first_ancestor),
                     ..eye
                 });
             }
             rays += part.rays;
         }
         let candidates = Candidates::find(&traced.footprints, &link::tree(&eyes), eyes.len());
-        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.briefs[light as usize], eye);
+        let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.compact[light as usize], eye);
         let links = link::select(&candidates, &eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
-        let scores = linker.score(&links, &eyes, &ancestors);
+        let scores = linker.score(&links, &eyes);
         let mut unoccluded = 0;
         for (link, score) in links.iter().zip(scores) {
             let eye = &eyes[link.eye as usize];
-            let sum = eye.tail.map_or_else(|| &mut radiance[eye.path as usize], |tail| &mut tails[tail as usize]);
+            let sum =
+                eye.suffix.map_or_else(|| &mut radiance[eye.path as usize], |suffix| &mut suffixes[suffix as usize]);
             *sum += score.value;
             unoccluded += u64::from(score.visible);
             rays += score.rays;
@@ -384,7 +325,7 @@ impl GKernel {
         }
         tiles.par_iter_mut().for_each(|t| shot.add_features(t, aovs, sample));
         for share in shares {
-            radiance[share.path as usize] += share.factor * tails[share.tail as usize];
+            radiance[share.path as usize] += share.factor * suffixes[share.suffix as usize];
         }
         let c = &self.counts;
         c.camera_paths.fetch_add(radiance.len() as u64, Ordering::Relaxed);
@@ -405,23 +346,24 @@ impl Integrator for GKernel {
         self.settings.without_media("gkernel", world)
     }
 
-    /// One pilot for all views; light paths are kept.
+    /// One prepass for all views; light paths are kept.
     fn prepare_views(&self, shots: &[Shot], stop: &AtomicBool) {
         self.keep.store(true, Ordering::Relaxed);
         if !shots.is_empty() {
-            self.pilot.get_or_init(|| self.fly_pilot(&shots.iter().collect::<Vec<_>>(), stop));
+            self.calibration.get_or_init(|| self.prepass(&shots.iter().collect::<Vec<_>>(), stop));
         }
     }
 
     /// A step, or the rest of one.
     fn pass(&self, shot: &Shot, film: &mut Film, stop: &AtomicBool, late: &(dyn Fn() -> bool + Sync)) -> Option<u64> {
-        let pilot = self.pilot.get_or_init(|| self.fly_pilot(&[shot], stop));
-        let outlook = self.outlook(shot, pilot, stop);
+        let calibration = self.calibration.get_or_init(|| self.prepass(&[shot], stop));
+        let visibility = self.visibility(shot, calibration, stop);
         let first = film.samples().0;
         let step = first / self.eye_paths;
-        let bandwidth = self.bandwidth(shot, step, pilot.h);
-        let weighing = self.weighing((pilot.scale, pilot.steadiness), &bandwidth, self.light_paths(shot));
-        let request = self.request(shot, step, bandwidth, pilot.plan(weighing), stop);
+        let bandwidth = self.bandwidth(shot, step, calibration.h);
+        let scale = (calibration.links, calibration.variance_factor);
+        let weights = self.mis_weights(scale, &bandwidth, self.light_paths(shot));
+        let request = self.request(shot, step, bandwidth, calibration.plan(weights), stop);
         let (traced, mut rays) = self.traced(&request);
         let lights = &traced.lights;
         let aovs = film.aovs().to_vec();
@@ -436,7 +378,7 @@ impl Integrator for GKernel {
                 if done || stop.load(Ordering::Relaxed) || (sample > 0 && late()) {
                     return 0;
                 }
-                self.block(shot, tiles, &aovs, (i * tiles_at_once, sample), (&linker, &traced), &outlook)
+                self.block(shot, tiles, &aovs, (i * tiles_at_once, sample), (&linker, &traced), &visibility)
             };
             rays += film.tiles.par_chunks_mut(tiles_at_once).enumerate().map(block).sum::<u64>();
         }
@@ -451,7 +393,7 @@ impl Integrator for GKernel {
         let eyes = of(&c.eye_vertices).max(1.0);
         let requested = of(&c.requested);
         vec![
-            ("h", self.pilot.get().map_or(0.0, |c| c.h[0].into())),
+            ("h", self.calibration.get().map_or(0.0, |c| c.h[0].into())),
             ("steps", of(&c.steps)),
             ("steps_reused", of(&c.reused)),
             ("light_vertices", of(&c.light_vertices)),

@@ -1,6 +1,6 @@
-//! The camera paths of some tiles: which pixels share what they find, and the edges of lamps.
+//! The camera paths of some tiles: which pixels share what they find, and the silhouettes of lights.
 
-use super::eye::{Eye, Walked};
+use super::eye::{CameraSubpath, Eye};
 use super::{Block, GKernel, Plan};
 use crate::film::Tile;
 use crate::render::Shot;
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::sampler::Sampler;
 
-/// Rays more for a pixel at the edge of a lamp. A lamp is hundreds of times brighter than what it lights, so that how much of such a pixel it
+/// Rays more for a pixel at the silhouette of a light. A light is hundreds of times brighter than what it lights, so that how much of such a pixel it
 /// covers would be most of the noise of a picture, and takes next to nothing to find out.
 const EDGE_RAYS: u64 = 15;
 
@@ -41,8 +41,8 @@ impl GKernel {
         let eye = self.eye(shot, plan);
         let mut block = Block::default();
         for i in (0..tile.sums.len()).filter(|i| wanted(*i)) {
-            let walked = begin(shot, &eye, (0, tile), (i, sample), &mut block.rays);
-            eye.take_up(vec![walked], 1, &mut block);
+            let subpath = begin(shot, &eye, (0, tile), (i, sample), &mut block.rays);
+            eye.continue_paths(vec![subpath], 1, &mut block);
         }
         block
     }
@@ -60,26 +60,27 @@ impl GKernel {
         let walk = |(number, tile): (usize, &Tile)| {
             let mut rays = 0;
             let pixels = 0..if stop.load(Ordering::Relaxed) { 0 } else { tile.sums.len() };
-            let mut walks: Vec<Walked> =
+            let mut walks: Vec<CameraSubpath> =
                 pixels.map(|i| begin(shot, &eye, (number as u32, tile), (i, sample), &mut rays)).collect();
-            if self.method.edges && !walks.is_empty() {
+            if !walks.is_empty() {
                 sharpen(shot, (tile, sample), &eye, &mut walks, &mut rays);
             }
             (walks, rays)
         };
         let (walks, rays): (Vec<_>, Vec<u64>) = tiles.par_iter().enumerate().map(walk).unzip();
-        let walks: Vec<Walked> = walks.into_iter().flatten().collect();
+        let walks: Vec<CameraSubpath> = walks.into_iter().flatten().collect();
         let groups = if self.shared > 1 {
             groups(walks, |w| w.pixel, self.shared, PathSampler::new(shot.seed ^ 0x7368_6966, 0, sample))
         } else {
-            walks.into_iter().map(|walked| vec![walked]).collect()
+            walks.into_iter().map(|subpath| vec![subpath]).collect()
         };
         let per_task = groups.len().div_ceil(TASKS).max(1);
-        let take_up = |mut block: Block<'a>, group| {
-            eye.take_up(group, self.sharers, &mut block);
+        let continue_paths = |mut block: Block<'a>, group| {
+            eye.continue_paths(group, self.sharers, &mut block);
             block
         };
-        let mut blocks: Vec<Block> = groups.into_par_iter().fold_chunks(per_task, Block::default, take_up).collect();
+        let mut blocks: Vec<Block> =
+            groups.into_par_iter().fold_chunks(per_task, Block::default, continue_paths).collect();
         if let Some(block) = blocks.first_mut() {
             block.rays += rays.iter().sum::<u64>();
         }
@@ -87,7 +88,13 @@ impl GKernel {
     }
 }
 
-fn begin(shot: &Shot, eye: &Eye, (number, tile): (u32, &Tile), (i, sample): (usize, u64), rays: &mut u64) -> Walked {
+fn begin(
+    shot: &Shot,
+    eye: &Eye,
+    (number, tile): (u32, &Tile),
+    (i, sample): (usize, u64),
+    rays: &mut u64,
+) -> CameraSubpath {
     let (sampler, ray, weight) = shot.camera_path(tile, i, sample);
     let begin = (&ray, shot.camera_density(&ray), weight);
     eye.begin((number, i as u32), tile.pixel(i), begin, sampler, rays)
@@ -100,11 +107,11 @@ fn groups<T>(walks: Vec<T>, pixel: impl Fn(&T) -> [u32; 2], side: u32, mut sampl
     let square = SPREAD * side;
     let shift = (sampler.next_2d() * square as f32).as_uvec2();
     let mut squares = BTreeMap::<_, Vec<(u32, T)>>::new();
-    for walked in walks {
-        let [x, y] = pixel(&walked);
+    for subpath in walks {
+        let [x, y] = pixel(&subpath);
         let (x, y) = (x + shift.x, y + shift.y);
         let along = (0..16).map(|bit| (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1)).sum();
-        squares.entry((y / square, x / square)).or_default().push((along, walked));
+        squares.entry((y / square, x / square)).or_default().push((along, subpath));
     }
     let mut all = Vec::new();
     for (_, mut square) in squares {
@@ -114,27 +121,27 @@ fn groups<T>(walks: Vec<T>, pixel: impl Fn(&T) -> [u32; 2], side: u32, mut sampl
         let begin = all.len();
         all.resize_with(begin + n, Vec::new);
         let mut order: Vec<usize> = (0..n).collect();
-        for (i, (_, walked)) in square.into_iter().enumerate() {
+        for (i, (_, subpath)) in square.into_iter().enumerate() {
             if i % n == 0 {
                 for k in (1..n).rev() {
                     order.swap(k, ((sampler.next_1d() * (k + 1) as f32) as usize).min(k));
                 }
             }
-            all[begin + order[i % n]].push(walked);
+            all[begin + order[i % n]].push(subpath);
         }
     }
     all
 }
 
-/// Sends more rays through pixels at the edges of lamps, for what they see at once. Whether a pixel is one its neighbours say, not its own
+/// Sends more rays through pixels at the silhouettes of lights, for what they see at once. Whether a pixel is one its neighbours say, not its own
 /// path, which counts as one ray more: no bias.
-fn sharpen(shot: &Shot, (tile, sample): (&Tile, u64), eye: &Eye, walks: &mut [Walked], rays: &mut u64) {
+fn sharpen(shot: &Shot, (tile, sample): (&Tile, u64), eye: &Eye, walks: &mut [CameraSubpath], rays: &mut u64) {
     let [w, h] = tile.size.map(|n| n as usize);
-    let seen: Vec<f32> = walks.iter().map(|walked| luminance(eye.sight(walked))).collect();
+    let seen: Vec<f32> = walks.iter().map(|subpath| luminance(eye.sight(subpath))).collect();
     if seen.iter().all(|s| *s == 0.0) {
         return;
     }
-    for (i, walked) in walks.iter_mut().enumerate() {
+    for (i, subpath) in walks.iter_mut().enumerate() {
         let (x, y) = (i % w, i / w);
         let around = |n: usize, most: usize| n.saturating_sub(1)..(n + 2).min(most);
         let others = around(y, h).flat_map(|v| around(x, w).map(move |u| v * w + u)).filter(|j| *j != i);
@@ -148,8 +155,8 @@ fn sharpen(shot: &Shot, (tile, sample): (&Tile, u64), eye: &Eye, walks: &mut [Wa
             eye.sight_along(&ray) * weight
         };
         let part = 1.0 / (EDGE_RAYS + 1) as f32;
-        walked.beside = (0..EDGE_RAYS).map(along).sum::<Rgb>() * part;
-        walked.sight = part;
+        subpath.beside = (0..EDGE_RAYS).map(along).sum::<Rgb>() * part;
+        subpath.sight = part;
     }
 }
 
