@@ -69,7 +69,7 @@ const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// A few sound bytes of OpenEXR may be the crop of a picture of 8K, 2²⁵ pixels of four floats, of which there are two copies
 /// for a moment.
-const CROPPED_EXR: usize = 2 * 4 * 4 << 25;
+const CROPPED_EXR: usize = (2 * 4 * 4) << 25;
 
 impl Target {
     /// Bytes that this input may take.
