@@ -216,7 +216,7 @@ impl<'a> Linker<'a> {
         }
         score.visible = true;
         let cos_y = y.hit.n().dot(arrival.wi).abs();
-        // One over the area across the light in which light paths have y in their footprints.
+        // One over the area across the light in which light paths have y in their footprints: [Bekaert 2003, Eq. 6].
         let kernel = if self.unbiased {
             self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
         } else if v.passed < 1.0

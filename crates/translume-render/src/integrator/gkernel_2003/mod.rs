@@ -151,10 +151,11 @@ impl GKernel2003 {
         let cos_x = v.hit.n().dot(v.hit.wo).abs();
         let light = times(f.pdf_to_light * arrival.onto_parent / (arrival.pdf_across * cos_y), beyond);
         let camera = times(f.pdf_to_camera * y.back / y.pdf, y.d_vm);
+        let partial = arrival.value * f.f * cos_y; // [Bekaert 2003, Eq. 8a]
         let kernel = 1.0 / (PI * v.radius * v.radius * cos_x * v.passed); // [Bekaert 2003, Eq. 8b]
         let paths = self.path_count(shot) as f32;
         let factor = kernel * merge_weight(light, camera) * link.weight / (v.survival * paths);
-        Some(arrival.value * f.f * cos_y * visible * y.throughput * factor) // [Bekaert 2003, Eq. 8]
+        Some(partial * visible * y.throughput * factor) // [Bekaert 2003, Eq. 8]
     }
 
     /// One block of tiles in a step: camera paths, candidate links, trial links, scores.
