@@ -222,7 +222,7 @@ fn a_render_ends_when_it_is_told_to() {
     m.constant(1.0);
     m.camera(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, 0.4);
     let scene = m.0;
-    for method in ["volpath", "path", "bdpt", "gkernel", "photonmap"] {
+    for method in ["volpath", "path", "bdpt", "gkernel", "gkernel-2003", "photonmap"] {
         let mut scene = scene.clone();
         if method != "volpath" {
             scene.shapes[0].interior = None;

@@ -199,7 +199,7 @@ fn what_cannot_be_is_refused() {
     m.square(1.0, 0.0, material);
     m.constant(1.0);
     let world = World::new(Arc::new(m.0.clone())).unwrap();
-    for method in ["bdpt", "photonmap", "gkernel"] {
+    for method in ["bdpt", "photonmap", "gkernel", "gkernel-2003"] {
         let refused = translume_render::integrator::by_name(method, UNLIMITED).unwrap().check(&world);
         assert!(refused.unwrap_err().to_string().contains("translucent"), "{method}");
     }

@@ -1,12 +1,12 @@
 //! The light's half of a link: a light path continued from its vertex x_{k-1} to a point y that it did not meet.
 //!
-//! Source: Bekaert et al. 2003, the first factor of eq. 8, which they call the partial score, with the corrections of errata: what x_{k-1}
-//! emits or scatters is evaluated towards y, and divided by the density of that direction, so that r² cancels; parallel light has a
-//! density on the plane across it in the place of p_ω/r².
+//! Source: Bekaert et al. 2003, the first factor of eq. 8, which they call the partial score, with the corrections of
+//! errata: what x_{k-1} emits or scatters is evaluated towards y, and divided by the density of that direction, so that
+//! r² cancels; parallel light has a density on the plane across it in the place of p_ω/r².
 
 use crate::Rgb;
 use crate::light::{LightPoint, LightStart, Starts};
-use crate::subpath::{Scattering, scattering};
+use crate::subpath::{Density, Scattering, scattering};
 use crate::world::{Shading, SurfaceHit, World};
 use glam::Vec3;
 
@@ -94,6 +94,11 @@ impl Arrival {
             at_parent: Some(there),
         })
     }
+}
+
+/// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
+pub(super) fn onto(from: Vec3, to: &SurfaceHit, d: Vec3) -> f32 {
+    Density::Angle { from, pdf_w: 1.0 }.at(to.point.p, to.n(), d)
 }
 
 fn toward(from: Vec3, to: Vec3) -> Option<(Vec3, f32)> {

@@ -1,8 +1,8 @@
 //! Footprints of light vertices and the camera vertices in them: candidate links, and how some of them are chosen.
 //!
-//! Source: Bekaert et al. 2003, §5: queries go sphere by sphere over a tree of the camera vertices; trial links are chosen by stratified sampling of
-//! a discrete distribution (Neumann et al. 1995). A chosen link counts by the number of times that it was chosen over the expected number
-//! (errata: not over the acceptance probability alone).
+//! Source: Bekaert et al. 2003, §5: queries go sphere by sphere over a tree of the camera vertices; trial links are
+//! chosen by stratified sampling of a discrete distribution (Neumann et al. 1995). A chosen link counts by the number
+//! of times that it was chosen over the expected number (errata: not over the acceptance probability alone).
 
 use crate::points::Points;
 use glam::Vec3;
@@ -37,7 +37,8 @@ pub(super) struct Candidates {
 const CHUNK: usize = 2048;
 
 impl Candidates {
-    /// All pairs of a camera vertex in a light vertex's footprint; `tree` has the `eyes` camera vertices by their numbers.
+    /// All pairs of a camera vertex in a light vertex's footprint; `tree` has the `eyes` camera vertices by their
+    /// numbers.
     pub(super) fn find(footprints: &[Footprint], tree: &Points, eyes: usize) -> Self {
         let found: Vec<Vec<(u32, u32)>> = footprints
             .par_chunks(CHUNK)
@@ -82,8 +83,8 @@ pub(super) fn sorted(all: &[Footprint]) -> Vec<Footprint> {
     morton::order(&places).into_iter().map(|i| all[i as usize]).collect()
 }
 
-/// Chooses about `n` items in proportion to their strengths, by one random number `u`: calls `each` with the number of each one that is chosen,
-/// and the times that it was chosen over the expected number.
+/// Chooses about `n` items in proportion to their strengths, by one random number `u`: calls `each` with the number of
+/// each one that is chosen, and the times that it was chosen over the expected number.
 pub(super) fn choose(strengths: &[f32], n: f32, u: f32, mut each: impl FnMut(usize, f32)) {
     let sum: f64 = strengths.iter().map(|s| f64::from(*s)).sum();
     let (mut passed, mut taken) = (f64::from(u), 0.0);
@@ -111,7 +112,8 @@ mod tests {
             let u = (i as f32 + 0.5) / draws as f32;
             choose(&strengths, n, u, |item, weight| times[item] += f64::from(weight));
         }
-        // Weights are times over the expected number, so that each item has weight one in the mean, if it can be chosen at all.
+        // Weights are times over the expected number, so that each item has weight one in the mean, if it can be chosen
+        // at all.
         for (item, sum) in times.into_iter().enumerate() {
             let expected = if strengths[item] > 0.0 { 1.0 } else { 0.0 };
             assert!((sum / f64::from(draws) - expected).abs() < 0.01, "{item}: {sum}");

@@ -6,6 +6,7 @@ mod direct;
 mod footprints;
 pub mod gkernel;
 pub mod gkernel_2003;
+mod link_counts;
 mod nearest;
 mod path;
 mod photonmap;
@@ -234,7 +235,7 @@ pub struct Entry {
     /// Its options.
     pub options: &'static [Choice],
     /// Options that it had, and what became of them.
-    pub removed: &'static [(&'static str, &'static str)],
+    pub removed: &'static [(&'static [&'static str], &'static str)],
     make: fn(Settings, &Options) -> Result<Box<dyn Integrator>>,
 }
 
@@ -302,7 +303,7 @@ pub fn with_options(name: &str, settings: Settings, options: &[(String, String)]
     let entry = INTEGRATORS.iter().find(|e| e.name == name);
     let entry = entry.ok_or_else(|| Error::Mismatch(format!("there is no method `{name}`")))?;
     if let Some((unknown, _)) = options.iter().find(|o| entry.options.iter().all(|k| k.name != o.0)) {
-        if let Some((_, now)) = entry.removed.iter().find(|r| r.0 == unknown) {
+        if let Some((_, now)) = entry.removed.iter().find(|r| r.0.contains(&unknown.as_str())) {
             return Err(Error::Mismatch(format!("{name} has no option `{unknown}` any more: {now}")));
         }
         let known: Vec<&str> = entry.options.iter().map(|k| k.name).collect();

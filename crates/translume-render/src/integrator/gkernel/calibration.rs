@@ -1,9 +1,9 @@
-//! What a prepass finds out before the first step, with light paths of its own and some of the camera's: h, how many links are
-//! occluded, which lights are visible from where, and at which lights light paths should begin.
+//! What a prepass finds out before the first step, with light paths of its own and some of the camera's: h, how many
+//! links are occluded, which lights are visible from where, and at which lights light paths should begin.
 //!
-//! Source: Bekaert et al. 2003, §5 (h so that M footprints of direct light hold a camera vertex in the mean; the share of
-//! unoccluded links). The lights' part is not in the paper: a light's chance follows what it contributes to the picture, mixed
-//! with its power so that none is forgotten.
+//! Source: Bekaert et al. 2003, §5 (h so that M footprints of direct light hold a camera vertex in the mean; the share
+//! of unoccluded links). The lights' part is not in the paper: a light's chance follows what it contributes to the
+//! picture, mixed with its power so that none is forgotten.
 
 use super::super::footprints::Candidates;
 use super::eye::EyeVertex;
@@ -27,8 +27,9 @@ pub(crate) struct Calibration {
     pub(crate) h: [f32; 2],
     /// c of the weights.
     pub(crate) links: f32,
-    /// Variance factor of light samples at camera vertices: the mean of their squares over their variance. Weights that go by densities alone take these to
-    /// be equal (Grittmann et al. 2019: variance-aware multiple importance sampling).
+    /// Variance factor of light samples at camera vertices: the mean of their squares over their variance. Weights that
+    /// go by densities alone take these to be equal (Grittmann et al. 2019: variance-aware multiple importance
+    /// sampling).
     pub(crate) variance_factor: f32,
     /// Where light paths begin.
     pub(crate) starts: Starts,
@@ -36,7 +37,8 @@ pub(crate) struct Calibration {
     pub(crate) visibility: Option<LightVisibilityCache>,
 }
 
-/// Share of trial links that are unoccluded in a view: per tile, and of vertices that choose alone, beyond the first, per depth.
+/// Share of trial links that are unoccluded in a view: per tile, and of vertices that choose alone, beyond the first,
+/// per depth.
 pub(crate) struct VisibilityEstimate {
     /// [`Shot::view`].
     pub(crate) view: u32,
@@ -78,18 +80,13 @@ impl VisibilityEstimate {
     }
 }
 
-impl Calibration {
-    pub(super) fn plan(&self, weights: MisWeights) -> Plan<'_> {
-        Plan { weights, starts: &self.starts, visibility: self.visibility.as_ref() }
-    }
-}
-
 impl GKernel {
     pub(super) fn prepass(&self, shots: &[&Shot], stop: &AtomicBool) -> Calibration {
         let shot = shots[0];
         let lights = shot.world.lights();
-        let weights = self.calibration_weights(shot, [FIRST_H; 2], (1.0, 1.0));
-        let first = Plan { weights, starts: lights.by_power(), visibility: None };
+        let bandwidth = self.bandwidth(shot, 0, [FIRST_H; 2]);
+        let weights = self.mis_weights((1.0, 1.0), &bandwidth, self.light_paths(shot));
+        let first = Plan { weights, bandwidth, starts: lights.by_power(), visibility: None };
         let views = shots.iter().step_by(shots.len().div_ceil(VIEWS)).map(|shot| self.sparse_paths(shot, first, stop));
         let paths = views.reduce(SparsePaths::join).unwrap_or_default();
         let mut tried = paths.try_lights(shot, None, 0);
@@ -103,10 +100,6 @@ impl GKernel {
         let mut calibration = Calibration { h: [FIRST_H; 2], links: 1.0, variance_factor, starts, visibility };
         (calibration.h, calibration.links) = self.calibrate(shot, &paths, &calibration, stop);
         calibration
-    }
-
-    fn calibration_weights(&self, shot: &Shot, h: [f32; 2], (links, variance_factor): (f32, f32)) -> MisWeights {
-        self.mis_weights((links, variance_factor), &self.bandwidth(shot, 0, h), self.light_paths(shot))
     }
 
     /// The prepass's camera paths.
@@ -128,12 +121,10 @@ impl GKernel {
     }
 
     /// Finds h and c.
-    fn calibrate(&self, shot: &Shot, paths: &SparsePaths, so_far: &Calibration, stop: &AtomicBool) -> ([f32; 2], f32) {
+    fn calibrate(&self, shot: &Shot, paths: &SparsePaths, known: &Calibration, stop: &AtomicBool) -> ([f32; 2], f32) {
         let mut h = [FIRST_H; 2];
         let tree = link::tree(&paths.eyes);
-        let bandwidth = |h| self.bandwidth(shot, 0, h);
-        let plan = so_far.plan(self.calibration_weights(shot, h, (1.0, so_far.variance_factor)));
-        let request = self.request(shot, STEP, bandwidth(h), plan, stop);
+        let request = self.request(shot, STEP, self.plan(shot, 0, known), stop);
         let whole = request.count as f32;
         let request = few(request);
         let mut lights = LightPaths::trace(&request);
@@ -146,7 +137,7 @@ impl GKernel {
                 break;
             }
             h.iter_mut().zip(counts).for_each(|(h, c)| *h *= (wanted / c.max(0.05 * wanted)).sqrt());
-            lights.refit(&bandwidth(h));
+            lights.refit(&self.bandwidth(shot, 0, h));
         }
         // Light vertices per path that see a point, and the part of them that become trial links.
         let candidates = link::count(&lights, &tree).iter().sum::<usize>().max(1) as f32 / part;
@@ -155,18 +146,11 @@ impl GKernel {
     }
 
     /// Finds how many links are occluded in a view.
-    pub(super) fn estimate_visibility(
-        &self,
-        shot: &Shot,
-        calibration: &Calibration,
-        stop: &AtomicBool,
-    ) -> VisibilityEstimate {
-        let bandwidth = self.bandwidth(shot, 0, calibration.h);
+    pub(super) fn visibility_in(&self, shot: &Shot, known: &Calibration, stop: &AtomicBool) -> VisibilityEstimate {
         // The camera's vertices with the weights that links take.
-        let scale = (calibration.links, calibration.variance_factor);
-        let plan = calibration.plan(self.calibration_weights(shot, calibration.h, scale));
+        let plan = self.plan(shot, 0, known);
         let paths = self.sparse_paths(shot, plan, stop);
-        let request = few(self.request(shot, STEP, bandwidth, plan, stop));
+        let request = few(self.request(shot, STEP, plan, stop));
         let lights = LightPaths::trace(&request);
         let linker = self.linker(&request, &lights, STEP);
         let eyes = &paths.eyes;

@@ -1,16 +1,18 @@
 //! One over the chance that a light path has a camera vertex in its footprint, without bias.
 //!
-//! Source: Booth 2007 (one over a probability is the mean number of trials until the first success); Qin et al. 2015 use it
-//! for photon gathering. From the parent x of a light vertex a walk takes a direction ω with density p(ω), and hits a surface at
-//! z(ω); the chance is ∫ p(ω) [|z(ω) − y| ≤ R(z(ω))] dω. Since R is at most ρ times the distance of z from x, only
-//! directions within asin ρ of y come into question (|z − y| is at least the sine times either distance). Trials:
+//! Source: Booth 2007 (one over a probability is the mean number of trials until the first success); Qin et al. 2015
+//! use it for photon gathering. From the parent x of a light vertex a walk takes a direction ω with density p(ω), and
+//! hits a surface at z(ω); the chance is ∫ p(ω) [|z(ω) − y| ≤ R(z(ω))] dω. Since R is at most ρ times the distance of z
+//! from x, only directions within asin ρ of y come into question (|z − y| is at least the sine times either distance).
+//! Trials:
 //!
-//! - lights and Lambertian surfaces have a bound p⁺ of p: directions evenly in that cone C, a success when the hit is one and
-//!   u < p(ω)/p⁺; n trials estimate 1/(|C| p⁺) n;
+//! - lights and Lambertian surfaces have a bound p⁺ of p: directions evenly in that cone C, a success when the hit is
+//!   one and u < p(ω)/p⁺; n trials estimate 1/(|C| p⁺) n;
 //! - other surfaces: the walk's own directions, most of which miss the cone and cost no ray; n trials estimate n;
 //! - parallel light: places in the disc that bounds all footprints, p is constant.
 //!
-//! Roulette is not part of it: a link divides by the chance that its own light path had. A trial passes masks straight by chance, as walks do.
+//! Roulette is not part of it: a link divides by the chance that its own light path had. A trial passes masks straight
+//! by chance, as walks do.
 
 use super::super::arrival::{Arrival, IncidentFrom};
 use super::super::footprints::Link;
@@ -28,8 +30,8 @@ use translume_core::sampler::Sampler;
 use translume_core::warp;
 use translume_trace::Ray;
 
-/// Trials after which the estimate is cut off, without a ray and with one: a chance of less than one in a million, and a guard against
-/// endless loops where rounding forbids what happened.
+/// Trials after which the estimate is cut off, without a ray and with one: a chance of less than one in a million, and
+/// a guard against endless loops where rounding forbids what happened.
 const MAX_TRIALS: u64 = 20_000_000;
 const MAX_RAYS: u64 = 300_000;
 
@@ -58,7 +60,7 @@ impl Linker<'_> {
             self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let from = self.incident_from(v, t);
                 let across = if matches!(from, IncidentFrom::Direction(_)) { 1.0 } else { t * t };
-                let radius = self.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, from, v.first());
+                let radius = self.plan.bandwidth.radius(pdf * point.ng.dot(ray.d).abs() / across, from, v.first);
                 is_inside(point.p.distance_squared(center), radius) > 0.0
             })
         };
@@ -66,7 +68,7 @@ impl Linker<'_> {
             && matches!(start.origin, End::Far)
         {
             let pdf = start.pdf_next();
-            let radius = (self.bandwidth.h[0] / (MIN_COS * pdf).sqrt()).min(self.bandwidth.max_radius);
+            let radius = (self.plan.bandwidth.h[0] / (MIN_COS * pdf).sqrt()).min(self.plan.bandwidth.max_radius);
             let trials = self.until(rays, |rays| {
                 let u = sampler.next_2d();
                 let beside = frame.to_world((warp::uniform_disk(u.x, u.y) * radius).extend(0.0));
@@ -80,7 +82,7 @@ impl Linker<'_> {
             Parent::Vertex(p, _) => p.hit.point.p,
         };
         let distance = (center - origin).length();
-        let sine = self.bandwidth.bound(v.first()).min(self.bandwidth.max_radius / distance).min(1.0);
+        let sine = self.plan.bandwidth.bound(v.first).min(self.plan.bandwidth.max_radius / distance).min(1.0);
         // A little wider, for rounding.
         let cos = (1.0 - sine * sine).sqrt() * (1.0 - 1e-6);
         let bounded = match parent {
@@ -91,8 +93,8 @@ impl Linker<'_> {
             }
             Parent::Vertex(_, shading) => (shading.flags() == Flags::REFLECTION.or(Flags::DIFFUSE)).then_some(1.0 / PI),
         };
-        // The light path itself is one of the walks that are counted. Where rounding would have it miss, next to where it comes from, the
-        // trials would never end, and there is no light to speak of between surfaces that close.
+        // The light path itself is one of the walks that are counted. Where rounding would have it miss, next to where
+        // it comes from, the trials would never end, and there is no light to speak of between surfaces that close.
         if -v.hit.wo.dot(to_y) < cos - ROUNDING {
             return 0.0;
         }

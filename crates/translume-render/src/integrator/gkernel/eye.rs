@@ -1,8 +1,9 @@
-//! Camera paths of a step: their vertices wait for links; lights that they meet, or that emitter sampling finds, count at once.
+//! Camera paths of a step: their vertices wait for links; lights that they meet, or that emitter sampling finds, count
+//! at once.
 //!
 //! Source: Bekaert et al. 2003, §4.1 and §5.
 
-use super::super::arrival::IncidentFrom;
+use super::super::arrival::{IncidentFrom, onto};
 use super::share::{self, Continuation, Group, ReuseTarget, SuffixShare};
 use super::weight::{LightPdf, MisWeights, Technique};
 use super::{Block, Plan};
@@ -46,8 +47,8 @@ pub(crate) struct EyeVertex<'a> {
 }
 
 impl EyeVertex<'_> {
-    /// What may happen nearer to the camera, where the light's walk finds this vertex with density `onto` per area and goes on with
-    /// `pdf_to_camera` per solid angle: the sum of squares over that of the density here.
+    /// What may happen nearer to the camera, where the light's walk finds this vertex with density `onto` per area and
+    /// goes on with `pdf_to_camera` per solid angle: the sum of squares over that of the density here.
     #[inline]
     pub(crate) fn camera_sum(&self, weights: &MisWeights, onto: f32, pdf_to_camera: f32) -> f32 {
         let back = pdf_to_camera * self.back;
@@ -70,9 +71,9 @@ pub(crate) struct CameraSubpath {
     place: (u32, u32),
     /// In the picture.
     pub(super) pixel: [u32; 2],
-    /// What rays beside it saw of lamps, and how much its own sight of them counts.
-    pub(super) beside: Rgb,
-    pub(super) sight: f32,
+    /// Direct emission by further rays at a light's silhouette, and how much the path's own counts.
+    pub(super) supersampled: Rgb,
+    pub(super) own_part: f32,
     state: PathState,
     vertices: Vec<Vertex>,
     escape: Option<Escape>,
@@ -98,27 +99,38 @@ impl<'a> Eye<'a> {
         let mut state = PathState::new((*ray, Rgb::splat(weight), density));
         let mut vertices = Vec::with_capacity(2);
         let escape = self.walk().follow(&mut state, 2, None, &mut sampler, rays, &mut vertices);
-        CameraSubpath { place, pixel, beside: Rgb::ZERO, sight: 1.0, state, vertices, escape, sampler, from: ray.o }
+        CameraSubpath {
+            place,
+            pixel,
+            supersampled: Rgb::ZERO,
+            own_part: 1.0,
+            state,
+            vertices,
+            escape,
+            sampler,
+            from: ray.o,
+        }
     }
 
     /// What the first surface that a camera path meets emits.
-    pub(super) fn sight(&self, subpath: &CameraSubpath) -> Rgb {
+    pub(super) fn direct_emission(&self, subpath: &CameraSubpath) -> Rgb {
         let first = subpath.vertices.first().filter(|v| v.segments == 1);
         first.map_or(Rgb::ZERO, |v| self.emitted(&subpath.vertices, v, 0, 0.0))
     }
 
     /// The same of a ray, not weighted.
-    pub(super) fn sight_along(&self, ray: &Ray) -> Rgb {
+    pub(super) fn direct_emission_along(&self, ray: &Ray) -> Rgb {
         let hit = if self.hide_lights { None } else { self.world.intersect(ray) };
         hit.and_then(|hit| self.world.emission(&hit)).map_or(Rgb::ZERO, |(radiance, _)| radiance)
     }
 
-    /// Takes up camera paths of neighbouring pixels: those that resemble each other share, `sharers` for each that goes on.
+    /// Continues camera paths of neighbouring pixels: those that resemble each other share, `sharers` for each that
+    /// goes on.
     pub(crate) fn continue_paths(&self, mut walks: Vec<CameraSubpath>, sharers: usize, block: &mut Block<'a>) {
         let base = block.radiance.len() as u32;
         for subpath in &walks {
             block.places.push(subpath.place);
-            block.radiance.push(subpath.beside + self.sight(subpath) * (subpath.sight - 1.0));
+            block.radiance.push(subpath.supersampled + self.direct_emission(subpath) * (subpath.own_part - 1.0));
         }
         if let [subpath] = &mut walks[..] {
             self.continue_path(base, subpath, None, Continuation::Alone, block);
@@ -244,14 +256,14 @@ impl<'a> Eye<'a> {
                     segments: v.segments,
                     depth: depths[i],
                     pdf: v.pdf,
-                    back: parent.map_or(0.0, |p| onto(v.hit.point.p, p, v.hit.wo)),
+                    back: parent.map_or(0.0, |p| onto(v.hit.point.p, &p.hit, v.hit.wo)),
                     before: parent.map_or(1.0, |p| p.pdf),
                     distance: parent.map_or(0.0, |p| between(p, &v.hit)),
                     technique: Technique::of(parent.is_none_or(|p| p.delta), false),
                     d_vc: d_vc[i],
                 };
                 if self.plan.weights.emitters > 0.0 {
-                    found += self.lit(&y, &mut emitters, &mut block.rays);
+                    found += self.sample_emitters(&y, &mut emitters, &mut block.rays);
                 }
                 block.eyes.push(y);
             }
@@ -276,22 +288,14 @@ impl<'a> Eye<'a> {
     }
 
     /// Emitter sampling at `y`.
-    fn lit(&self, y: &EyeVertex, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
+    fn sample_emitters(&self, y: &EyeVertex, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
         let (p, n) = (y.hit.point.p, self.world.receiving_normal(&y.hit, &y.shading));
         let mut place = Place::new(p, n, self.plan.visibility.map(|s| s.from(p, n)));
-        let samples = emitter_samples(self.world, y.depth);
-        (0..samples).map(|_| self.lit_once(y, &mut place, samples as f32, sampler, rays)).sum()
+        (0..emitter_samples(self.world, y.depth)).map(|_| self.sample_emitter(y, &mut place, sampler, rays)).sum()
     }
 
-    /// One of `samples` of the light that falls on `y`.
-    fn lit_once(
-        &self,
-        y: &EyeVertex,
-        place: &mut Place,
-        samples: f32,
-        sampler: &mut PathSampler,
-        rays: &mut u64,
-    ) -> Rgb {
+    /// One of the samples of the light that falls on `y`.
+    fn sample_emitter(&self, y: &EyeVertex, place: &mut Place, sampler: &mut PathSampler, rays: &mut u64) -> Rgb {
         let (world, lights) = (self.world, self.world.lights());
         let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
         let p = y.hit.point.p;
@@ -308,7 +312,7 @@ impl<'a> Eye<'a> {
         let point = sample.point(chosen.0);
         let distance = (point.p - p).length();
         let per_point = |pdf_w| point.from_solid_angle(pdf_w, sample.wi, distance);
-        let weights = &self.plan.weights;
+        let (weights, samples) = (&self.plan.weights, emitter_samples(world, y.depth) as f32);
         let own = weights.emitter_factor(y.depth == 0) * samples * per_point(sample.pdf_w);
         let met = if sample.delta { 0.0 } else { per_point(here.pdf_to_light) };
         let (begin, next) = lights.pdf_start(self.plan.starts, &point, -sample.wi);
@@ -325,7 +329,7 @@ impl<'a> Eye<'a> {
         let Some(parent) = path.get(v.parent as usize) else { return v.throughput * radiance };
         let point = LightPoint { light, p: v.hit.point.p, n: v.hit.seen_n(), far: false };
         let (begin, next) = self.world.lights().pdf_start(self.plan.starts, &point, v.hit.wo);
-        let back = next * onto(v.hit.point.p, parent, v.hit.wo);
+        let back = next * onto(v.hit.point.p, &parent.hit, v.hit.wo);
         let at = self.plan.weights.light_pdf(back, IncidentFrom::Point(between(parent, &v.hit)));
         let direct = match parent.delta {
             false if self.plan.weights.emitters > 0.0 => {
@@ -338,8 +342,9 @@ impl<'a> Eye<'a> {
         v.throughput * radiance * self.weight_of_meeting((begin, v.pdf, direct), depth == 1, (parent, back, at), d_vc)
     }
 
-    /// Weight of a camera's walk that meets a light: densities of its point by light paths, by this walk and by samples of
-    /// lights; whether the vertex before is the walk's first; that vertex and the density with which the light's walk finds it.
+    /// Weight of a camera's walk that meets a light: densities of its point by light paths, by this walk and by samples
+    /// of lights; whether the vertex before is the walk's first; that vertex and the density with which the light's
+    /// walk finds it.
     fn weight_of_meeting(
         &self,
         (begin, own, direct): (f32, f32, f32),
@@ -371,12 +376,12 @@ impl<'a> Eye<'a> {
     }
 }
 
-/// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct light of many lamps
-/// on the first one is most of the noise that is left; what is found at the second one is for many pixels. Beyond it is one, as
-/// light paths take it to be.
+/// Emitter samples at a camera vertex of this depth. Where links take care of what comes by other surfaces, direct
+/// light of many lights on the first one is most of the noise that is left; what is found at the second one is for many
+/// pixels. Beyond it is one, as light paths take it to be.
 pub(super) fn emitter_samples(world: &World, depth: u32) -> u32 {
-    let most = [8, 2, 1][depth.min(2) as usize];
-    (world.lights().len() as u32).clamp(1, most)
+    let max = [8, 2, 1][depth.min(2) as usize];
+    (world.lights().len() as u32).clamp(1, max)
 }
 
 /// 1/(1 + A); where nothing competes A may be 0 · ∞.
@@ -386,9 +391,4 @@ fn weight(others: f32) -> f32 {
 
 fn between(a: &Vertex, b: &SurfaceHit) -> f32 {
     a.hit.point.p.distance(b.point.p)
-}
-
-/// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
-fn onto(from: Vec3, to: &Vertex, d: Vec3) -> f32 {
-    Density::Angle { from, pdf_w: 1.0 }.at(to.hit.point.p, to.hit.n(), d)
 }

@@ -1,16 +1,16 @@
 //! Light paths of a step: their vertices with footprints.
 //!
 //! Source: Bekaert et al. 2003, §3 (eq. 7) and §5; errata: p of eq. 7 is per area, R is capped by the distance to the
-//! parent, the chance of Russian roulette belongs to the density of a direction. Every vertex says whether a link to its
-//! parent may be made (the parent scatters in more than single directions) and whether the surface around it is flat as
-//! far as such links reach, which is what the disc of §3 takes for granted.
+//! parent, the chance of Russian roulette belongs to the density of a direction. Every vertex says whether a link to
+//! its parent may be made (the parent scatters in more than single directions) and whether the surface around it is
+//! flat as far as such links reach, which is what the disc of §3 takes for granted.
 
-use super::super::arrival::IncidentFrom;
+use super::super::arrival::{IncidentFrom, onto};
 use super::super::footprints::{self, Footprint};
 use super::Plan;
 use super::weight::{LightPdf, Technique};
 use crate::light::{End, LightStart};
-use crate::subpath::{self, Density, LightPath, Limits, NONE, Vertex};
+use crate::subpath::{self, LightPath, Limits, NONE, Vertex};
 use crate::world::{SurfaceHit, World};
 use crate::{PathSampler, Rgb, luminance};
 use glam::Vec3;
@@ -29,7 +29,8 @@ pub(crate) struct Bandwidth {
     pub(crate) max_share: f32,
     /// Largest radius.
     pub(crate) max_radius: f32,
-    /// Densities below this per solid angle, cosine at the surface included, count as this: what bounds a footprint's cone.
+    /// Densities below this per solid angle, cosine at the surface included, count as this: what bounds a footprint's
+    /// cone.
     pub(crate) min_pdf: f32,
     /// Of photons that are merged.
     pub(crate) photon: f32,
@@ -39,8 +40,8 @@ pub(crate) struct Bandwidth {
 pub(crate) const MIN_COS: f32 = 0.2;
 
 impl Bandwidth {
-    /// The radius of a vertex of density `pdf` per area; light comes to it `from` there, from a light itself if it is the `first`. [Bekaert 2003, Eq. 7] without the radius
-    /// of the vertex before, and bounded.
+    /// The radius of a vertex of density `pdf` per area; light comes to it `from` there, from a light itself if it is
+    /// the `first`. [Bekaert 2003, Eq. 7] without the radius of the vertex before, and bounded.
     #[inline]
     pub(crate) fn radius(&self, pdf: f32, from: IncidentFrom, first: bool) -> f32 {
         let h = self.h[usize::from(!first)];
@@ -69,7 +70,7 @@ pub(crate) struct LightVertex {
     pub(crate) acceptance: f32,
     /// The footprint's.
     pub(crate) radius: f32,
-    /// Number of the vertex before, or of the begin ([`LightVertex::first`]).
+    /// Number of the vertex before, or of the begin if it is the first.
     pub(crate) parent: u32,
     /// Chance with which roulette let the path come here from the parent.
     pub(crate) survival: f32,
@@ -82,45 +83,20 @@ pub(crate) struct LightVertex {
     /// Density of the parent by a walk from here over that of the light's walk, per density of the direction.
     pub(crate) back: f32,
     pub(crate) segments: u16,
-    flags: u8,
+    /// The parent is a light.
+    pub(crate) first: bool,
+    /// What may happen here.
+    pub(crate) technique: Technique,
 }
 
 // Millions of them are kept at once.
 const _: () = assert!(size_of::<LightVertex>() <= 200);
 
-const FIRST: u8 = 1;
-const LINKED: u8 = 2;
-const MERGED: u8 = 4;
-
 impl LightVertex {
-    /// The parent is a light.
-    #[inline]
-    pub(crate) fn first(&self) -> bool {
-        self.flags & FIRST != 0
-    }
-
-    /// Links to the parent can be made.
-    #[inline]
-    pub(crate) fn linked(&self) -> bool {
-        self.flags & LINKED != 0
-    }
-
-    /// The parent scatters in single directions only: a photon to be merged.
-    #[inline]
-    pub(crate) fn merged(&self) -> bool {
-        self.flags & MERGED != 0
-    }
-
     /// For weights.
     #[inline]
     pub(crate) fn light_pdf(&self) -> LightPdf {
         LightPdf { pdf: self.pdf, acceptance: self.acceptance }
-    }
-
-    /// What may happen here.
-    #[inline]
-    pub(crate) fn technique(&self) -> Technique {
-        Technique::of(!self.linked() && !self.merged(), self.merged())
     }
 
     /// cos θ at this vertex towards the parent.
@@ -146,10 +122,17 @@ pub(crate) struct CompactLightVertex {
 
 impl CompactLightVertex {
     pub(crate) fn new(v: &LightVertex) -> Self {
-        let technique = v.technique();
-        let cos = if technique == Technique::Merge { 1.0 } else { v.cos() };
+        let cos = if v.technique == Technique::Merge { 1.0 } else { v.cos() };
         let gain = luminance(v.throughput) / (v.radius * v.radius * cos);
-        Self { wo: v.hit.wo, gain, at: v.light_pdf(), back: v.back, d_vc: v.d_vc, d_vcm: v.d_vcm, technique }
+        Self {
+            wo: v.hit.wo,
+            gain,
+            at: v.light_pdf(),
+            back: v.back,
+            d_vc: v.d_vc,
+            d_vcm: v.d_vcm,
+            technique: v.technique,
+        }
     }
 }
 
@@ -167,7 +150,6 @@ pub(crate) struct LightPaths {
 pub(crate) struct Request<'a> {
     pub(crate) world: &'a World,
     pub(crate) limits: Limits,
-    pub(crate) bandwidth: Bandwidth,
     pub(crate) plan: Plan<'a>,
     /// Of the random numbers, and the stream: the step.
     pub(crate) seed: u64,
@@ -202,7 +184,7 @@ impl LightPaths {
             let (starts, vertices) = (all.starts.len() as u32, all.vertices.len() as u32);
             all.starts.extend(chunk.starts);
             all.vertices.extend(chunk.vertices.into_iter().map(|v| {
-                let first = if v.first() { starts } else { vertices };
+                let first = if v.first { starts } else { vertices };
                 LightVertex { parent: v.parent + first, ..v }
             }));
             all.rays += chunk.rays;
@@ -233,8 +215,7 @@ impl LightPaths {
         let point = light.start.point();
         let (from, back) = match parent {
             Some(parent) => {
-                let one = Density::Angle { from: p, pdf_w: 1.0 }.at(parent.hit.point.p, parent.hit.n(), wo);
-                (IncidentFrom::Point((p - parent.hit.point.p).length()), one / parent.pdf)
+                (IncidentFrom::Point((p - parent.hit.point.p).length()), onto(p, &parent.hit, wo) / parent.pdf)
             }
             None => {
                 let back = point.from_solid_angle(1.0, wo, (p - point.p).length()) / light.start.pdf_begin();
@@ -264,9 +245,12 @@ impl LightPaths {
         };
         let delta = parent.is_some_and(|p| p.delta);
         let usable = v.pdf > 0.0 && v.survival > 0.0 && v.passed > 0.0;
-        let (linked, merged) = (!delta && usable, delta && usable && weights.photons > 0.0);
-        let radius =
-            if delta { request.bandwidth.photon } else { request.bandwidth.radius(v.pdf, from, parent.is_none()) };
+        let technique = Technique::of(!usable || (delta && weights.photons == 0.0), delta);
+        let radius = if delta {
+            request.plan.bandwidth.photon
+        } else {
+            request.plan.bandwidth.radius(v.pdf, from, parent.is_none())
+        };
         LightVertex {
             hit: v.hit,
             throughput: v.throughput,
@@ -280,10 +264,8 @@ impl LightPaths {
             d_vcm,
             back,
             segments: v.segments.min(u16::MAX.into()) as u16,
-            flags: [(v.parent == NONE, FIRST), (linked, LINKED), (merged, MERGED)]
-                .map(|(is, flag)| u8::from(is) * flag)
-                .iter()
-                .sum(),
+            first: parent.is_none(),
+            technique,
         }
     }
 
@@ -291,7 +273,7 @@ impl LightPaths {
     #[inline]
     pub(crate) fn ray_beside(&self, world: &World, v: &LightVertex, q: Vec3) -> Ray {
         let towards = |from: Vec3| (q - from).normalize_or(-v.hit.wo);
-        if !v.first() {
+        if !v.first {
             return self.ray_along(v, towards(self.vertices[v.parent as usize].hit.point.p));
         }
         let start = &self.starts[v.parent as usize];
@@ -302,11 +284,11 @@ impl LightPaths {
         }
     }
 
-    /// The ray from the parent of `v`, which is not far away, in this direction. Far from the origin there is nothing between the points
-    /// that single precision knows: whoever has a direction must not go by one.
+    /// The ray from the parent of `v`, which is not far away, in this direction. Far from the origin there is nothing
+    /// between the points that single precision knows: whoever has a direction must not go by one.
     #[inline]
     pub(crate) fn ray_along(&self, v: &LightVertex, d: Vec3) -> Ray {
-        if !v.first() {
+        if !v.first {
             return self.vertices[v.parent as usize].hit.point.spawn(d);
         }
         match &self.starts[v.parent as usize].origin {
@@ -335,22 +317,22 @@ impl LightPaths {
     pub(crate) fn refit(&mut self, bandwidth: &Bandwidth) {
         for i in 0..self.vertices.len() {
             let v = &self.vertices[i];
-            let from = if v.first() {
+            let from = if v.first {
                 incident_from(&self.starts[v.parent as usize], v.hit.point.p)
             } else {
                 let parent = &self.vertices[v.parent as usize];
                 IncidentFrom::Point((v.hit.point.p - parent.hit.point.p).length())
             };
-            self.vertices[i].radius = match v.technique() {
+            self.vertices[i].radius = match v.technique {
                 Technique::Merge => bandwidth.photon,
-                _ => bandwidth.radius(v.pdf, from, v.first()),
+                _ => bandwidth.radius(v.pdf, from, v.first),
             };
         }
     }
 
     /// Those that something may happen at, in an order in which neighbours are near each other.
     pub(crate) fn footprints(&self) -> Vec<Footprint> {
-        let open = (0..).zip(&self.vertices).filter(|(_, v)| v.technique() != Technique::None);
+        let open = (0..).zip(&self.vertices).filter(|(_, v)| v.technique != Technique::None);
         let all: Vec<_> = open.map(|(light, v)| Footprint { p: v.hit.point.p, radius: v.radius, light }).collect();
         footprints::sorted(&all)
     }

@@ -1,19 +1,19 @@
 //! Links: camera vertices that lie in a light vertex's footprint are connected to that vertex's parent.
 //!
-//! Source: Bekaert et al. 2003, §4.2 and §5, with the corrections of errata: a link's score is
-//! T f(parent) cos/p_ω · f(y) cos_y · T_y / (π R² cos θ N), where N light paths were traced, T belongs to the parent, and the
-//! chance p_ω of the direction includes roulette's. Trial links are drawn by stratified sampling; a link's weight is the
-//! expected number of its selections n p, of which it may have several.
+//! Source: Bekaert et al. 2003, §4.2 and §5, with the corrections of errata: a link's score is T f(parent) cos/p_ω ·
+//! f(y) cos_y · T_y / (π R² cos θ N), where N light paths were traced, T belongs to the parent, and the chance p_ω of
+//! the direction includes roulette's. Trial links are drawn by stratified sampling; a link's weight is the expected
+//! number of its selections n p, of which it may have several.
 //!
-//! The normalisation (§3, eq. 6) takes the surface within reach for a disc. Where it is not ([`LightVertex::flat`]) the share
-//! of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with rays, see
-//! [`Linker::share`].
+//! The normalisation (§3, eq. 6) takes the surface within reach for a disc. Where it is not ([`LightPaths::is_flat`])
+//! the share of the disc's (or ball's) solid angle from which light paths would have made this link is estimated with
+//! rays, see [`Linker::share`].
 
 use super::super::arrival::{Arrival, IncidentFrom};
 use super::super::footprints::{self, Candidates, Link};
 use super::Plan;
 use super::eye::{EyeVertex, emitter_samples};
-use super::light::{Bandwidth, CompactLightVertex, LightPaths, LightVertex};
+use super::light::{CompactLightVertex, LightPaths, LightVertex};
 use super::weight::{Technique, mis_weight};
 use crate::light::{End, LightStart};
 use crate::points::Points;
@@ -73,9 +73,9 @@ pub(crate) fn count(lights: &LightPaths, tree: &Points) -> [usize; 2] {
     let of = |v: &LightVertex| {
         let mut n = 0;
         tree.within(v.hit.point.p, v.radius, |_| n += 1);
-        if v.first() { [n, 0] } else { [0, n] }
+        if v.first { [n, 0] } else { [0, n] }
     };
-    let linked = lights.vertices.par_iter().filter(|v| v.linked());
+    let linked = lights.vertices.par_iter().filter(|v| v.technique == Technique::Connect);
     linked.map(of).reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
 }
 
@@ -83,7 +83,6 @@ pub(crate) fn count(lights: &LightPaths, tree: &Points) -> [usize; 2] {
 pub(crate) struct Linker<'a> {
     pub(crate) world: &'a World,
     pub(crate) lights: &'a LightPaths,
-    pub(crate) bandwidth: Bandwidth,
     pub(crate) plan: Plan<'a>,
     /// Chances of links are found without bias.
     pub(crate) unbiased: bool,
@@ -112,8 +111,8 @@ pub(super) enum Parent<'a> {
 /// What links to one light vertex have in common.
 struct Common<'a> {
     parent: Parent<'a>,
-    /// Whether the surface around it is flat as far as points that link here would also link to neighbours; found out by
-    /// the first link that wants to know.
+    /// Whether the surface around it is flat as far as points that link here would also link to neighbours; found out
+    /// by the first link that wants to know.
     flat: Option<bool>,
 }
 
@@ -139,7 +138,7 @@ impl<'a> Linker<'a> {
                     if self.stop.load(Ordering::Relaxed) {
                         return Score { value: Rgb::ZERO, visible: false, rays: 0 };
                     }
-                    if v.merged() {
+                    if v.technique == Technique::Merge {
                         return self.merge(link, v, y);
                     }
                     if common.as_ref().is_none_or(|c| c.0 != link.light) {
@@ -175,7 +174,7 @@ impl<'a> Linker<'a> {
     /// Where the light at `v` comes from, a hit at ray parameter `t`.
     #[inline]
     pub(super) fn incident_from(&self, v: &LightVertex, t: f32) -> IncidentFrom {
-        if v.first() {
+        if v.first {
             let start = &self.lights.starts[v.parent as usize];
             if matches!(start.origin, End::Far) {
                 return IncidentFrom::Direction(start.pdf_next());
@@ -185,7 +184,7 @@ impl<'a> Linker<'a> {
     }
 
     fn parent(&self, v: &LightVertex) -> Parent<'a> {
-        if v.first() {
+        if v.first {
             return Parent::Start(&self.lights.starts[v.parent as usize]);
         }
         let parent = &self.lights.vertices[v.parent as usize];
@@ -217,7 +216,7 @@ impl<'a> Linker<'a> {
         }
         score.visible = true;
         let cos_y = y.hit.n().dot(arrival.wi).abs();
-        // One over the area across the light in which light paths have y in their footprints.
+        // One over the area across the light in which light paths have y in their footprints: [Bekaert 2003, Eq. 6].
         let kernel = if self.unbiased {
             self.inverse_chance(link, v, parent, &arrival, y, &mut score.rays) * arrival.pdf_across
         } else if v.passed < 1.0
@@ -256,10 +255,10 @@ impl<'a> Linker<'a> {
         }
     }
 
-    /// π R² p over N: how much larger than the disc the part of a ball around y is, as the parent sees it, in which a light
-    /// path's hit would have y in its footprint. Rays are sent into the ball until one succeeds; their number is one over
-    /// the chance in the mean (Booth 2007). Footprints beside may be larger than this one: by [`MARGIN`], and where the surface at y is met at
-    /// a flatter angle, as among leaves, by as much as those there are.
+    /// π R² p over N: how much larger than the disc the part of a ball around y is, as the parent sees it, in which a
+    /// light path's hit would have y in its footprint. Rays are sent into the ball until one succeeds; their number is
+    /// one over the chance in the mean (Booth 2007). Footprints beside may be larger than this one: by [`MARGIN`], and
+    /// where the surface at y is met at a flatter angle, as among leaves, by as much as those there are.
     fn share(&self, link: &Link, v: &LightVertex, arrival: &Arrival, y: &EyeVertex, rays: &mut u64) -> f32 {
         let key = u64::from(link.light) << 32 | u64::from(link.eye);
         let mut sampler = PathSampler::new(self.seed.0 ^ 0x7368_6172, key, self.seed.1);
@@ -276,7 +275,7 @@ impl<'a> Linker<'a> {
             *rays += 1;
             let found = self.world.arrives(&ray, Some(&mut passing), |point, t| {
                 let pdf = arrival.pdf_across * point.ng.dot(ray.d).abs();
-                let radius = self.bandwidth.radius(pdf, self.incident_from(v, t), v.first());
+                let radius = self.plan.bandwidth.radius(pdf, self.incident_from(v, t), v.first);
                 is_inside(point.p.distance_squared(center), radius) > 0.0
             });
             if found {
@@ -306,7 +305,8 @@ impl<'a> Linker<'a> {
         samples * self.world.pdf_direct(&y.hit, &y.shading, self.plan.visibility, &start.point(), arrival.wi)
     }
 
-    /// The camera vertex whose weights a link takes instead of those of `y`, and the factor on its density; see [`super::share`].
+    /// The camera vertex whose weights a link takes instead of those of `y`, and the factor on its density; see
+    /// [`super::share`].
     fn representative<'e>(
         &self,
         parent: &Parent,
@@ -341,7 +341,7 @@ impl<'a> Linker<'a> {
                 let there = arrival.at_parent.as_ref().map_or(0.0, |s| s.pdf_to_light);
                 // Light paths take it to be one sample.
                 let samples = emitter_samples(self.world, y.depth + 1) as f32;
-                let inner = w.sum(p.technique(), p.light_pdf(), there * p.back, p.d_vc) + w.onward(samples, p.d_vcm);
+                let inner = w.sum(p.technique, p.light_pdf(), there * p.back, p.d_vc) + w.onward(samples, p.d_vcm);
                 w.onward(parent_pdf / p.pdf, inner)
             }
         };

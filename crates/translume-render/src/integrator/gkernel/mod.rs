@@ -1,22 +1,24 @@
-//! The generalized kernel method: light paths and camera paths that land near each other are linked, and a link asks from
-//! where the light came instead of believing that it is the same here.
+//! The generalized kernel method: light paths and camera paths that land near each other are linked, and a link asks
+//! from where the light came instead of believing that it is the same here.
 //!
 //! Source: Bekaert, Slusallek, Cools, Havran, Seidel: A custom designed density estimator for light transport,
-//! MPI-I-2003-4-004. One pass of the driver is one step (§5): light paths are traced once, then the picture's tiles block by
-//! block: camera paths (`pixels`, `eye`), pairs of a camera vertex in a light vertex's footprint (`link`, `points`), trial
-//! links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
+//! MPI-I-2003-4-004. One pass of the driver is one step (§5): light paths are traced once, then the picture's tiles
+//! block by block: camera paths (`pixels`, `eye`), pairs of a camera vertex in a light vertex's footprint (`link`),
+//! trial links, shadow rays in the order of light vertices (`link`). Steps are averaged; the samples of a pixel are its
 //! camera paths, one a step or more.
 //!
-//! Nothing needs to be set: h is found by the number of footprints per camera vertex of direct light (M = 10), the number
-//! of trial links by the share that a prepass found unoccluded, per tile for the first vertex and per depth beyond.
+//! Nothing needs to be set: h is found by the number of footprints per camera vertex of direct light (M = 10), the
+//! number of trial links by the share that a prepass found unoccluded, per tile for the first vertex and per depth
+//! beyond.
 //!
-//! Departures from the paper, whose own form is `gkernel-2003`: R is at most 0.35 of the distance to the parent and h shrinks with the
-//! steps, so that the picture converges; where a footprint is not flat the normalisation is estimated with rays; links are
-//! chosen by the flux that they would bring, fewer of them beyond the first camera vertex; lights are sampled at camera vertices as well; merges are weighed by their
-//! number (see `weight`); neighbouring camera paths share what they find beyond their first surface (see `share`).
+//! Departures from the paper, whose own form is `gkernel-2003`: R is at most 0.35 of the distance to the parent and h
+//! shrinks with the steps, so that the picture converges; where a footprint is not flat the normalisation is estimated
+//! with rays; links are chosen by the flux that they would bring, fewer of them beyond the first camera vertex; lights
+//! are sampled at camera vertices as well; merges are weighed by their number (see `weight`); neighbouring camera paths
+//! share what they find beyond their first surface (see `share`).
 //!
-//! Limits: light that mirrors and glass focus is found by merging photons, not by connecting light paths to the camera; no
-//! participating media.
+//! Limits: light that mirrors and glass focus is found by merging photons, not by connecting light paths to the camera;
+//! no participating media.
 
 mod calibration;
 mod chance;
@@ -29,6 +31,7 @@ mod share;
 mod weight;
 
 use super::footprints::{Candidates, Footprint};
+use super::link_counts::LinkCounts;
 use super::{Integrator, Settings};
 use crate::film::{Film, Tile};
 use crate::light::{LightVisibilityCache, Starts};
@@ -46,7 +49,7 @@ use share::{Group, SuffixShare};
 use std::collections::HashMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use weight::{MisWeights, Technique};
 
@@ -75,7 +78,7 @@ pub struct GKernel {
     /// Light paths by their step; kept where several views want them.
     kept: Mutex<HashMap<u64, Arc<Traced>>>,
     keep: AtomicBool,
-    counts: Counts,
+    counts: LinkCounts,
 }
 
 /// Largest number of trial links over the unoccluded links that are wanted.
@@ -86,12 +89,13 @@ const MIN_PATHS: u32 = 5_000;
 const ENOUGH_PATHS: u32 = 10_000;
 const MAX_PATHS: u32 = 1_000_000;
 
-/// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it is larger, so
-/// that a place gets as many photons. Like pixels: their number is that of light paths.
+/// Radius of photons that are merged, over the scene's, where there are this many light paths in a step; with fewer it
+/// is larger, so that a place gets as many photons. Like pixels: their number is that of light paths.
 const PHOTON: f32 = 0.004;
 const PHOTON_PATHS: f32 = 150_000.0;
 
-/// See [`Bandwidth::min_pdf`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets straight.
+/// See [`Bandwidth::min_pdf`]: a quarter of what a diffuse surface sends straight ahead, towards one that it meets
+/// straight.
 const MIN_PDF: f32 = 0.25 * FRAC_1_PI;
 
 /// Camera paths of a block.
@@ -104,6 +108,7 @@ const ALPHA: f32 = 2.0 / 3.0;
 #[derive(Clone, Copy)]
 struct Plan<'a> {
     weights: MisWeights,
+    bandwidth: Bandwidth,
     /// Where light paths begin.
     starts: &'a Starts,
     /// What is known of the lights that are visible from camera vertices, for sampling them.
@@ -119,19 +124,6 @@ struct Traced {
 
 /// Most light vertices that are kept for further views: about 2 GiB of them.
 const MAX_KEPT: usize = 9_000_000;
-
-/// What was done, for `--json`.
-#[derive(Default)]
-struct Counts {
-    steps: AtomicU64,
-    reused: AtomicU64,
-    camera_paths: AtomicU64,
-    light_vertices: AtomicU64,
-    eye_vertices: AtomicU64,
-    candidates: AtomicU64,
-    requested: AtomicU64,
-    unoccluded: AtomicU64,
-}
 
 /// A part of the picture, with the camera's paths through it.
 #[derive(Default)]
@@ -188,34 +180,24 @@ impl GKernel {
         (w * h / 8).clamp(enough, MAX_PATHS)
     }
 
-    fn request<'a>(
-        &self,
-        shot: &Shot<'a>,
-        step: u64,
-        bandwidth: Bandwidth,
-        plan: Plan<'a>,
-        stop: &'a AtomicBool,
-    ) -> Request<'a> {
-        Request {
-            world: shot.world,
-            limits: Limits {
-                segments: self.settings.most_segments().saturating_sub(1),
-                rr_depth: self.settings.rr_depth,
-            },
-            bandwidth,
-            plan,
-            seed: shot.seed,
-            step,
-            count: self.light_paths(shot),
-            stop,
-        }
+    /// How paths of a step are drawn and weighed.
+    fn plan<'a>(&self, shot: &Shot, step: u64, known: &'a Calibration) -> Plan<'a> {
+        let bandwidth = self.bandwidth(shot, step, known.h);
+        let scale = (known.links, known.variance_factor);
+        let weights = self.mis_weights(scale, &bandwidth, self.light_paths(shot));
+        Plan { weights, bandwidth, starts: &known.starts, visibility: known.visibility.as_ref() }
+    }
+
+    fn request<'a>(&self, shot: &Shot<'a>, step: u64, plan: Plan<'a>, stop: &'a AtomicBool) -> Request<'a> {
+        let segments = self.settings.most_segments().saturating_sub(1);
+        let limits = Limits { segments, rr_depth: self.settings.rr_depth };
+        Request { world: shot.world, limits, plan, seed: shot.seed, step, count: self.light_paths(shot), stop }
     }
 
     fn linker<'a>(&self, request: &Request<'a>, lights: &'a LightPaths, sample: u64) -> Linker<'a> {
         Linker {
             world: request.world,
             lights,
-            bandwidth: request.bandwidth,
             plan: request.plan,
             unbiased: self.unbiased,
             max: self.settings.most_segments(),
@@ -234,8 +216,8 @@ impl GKernel {
         eyes.chunk_by(|a, b| a.path == b.path).map(group).collect()
     }
 
-    /// How likely a candidate becomes a trial link, relative to the others: what it would bring if the surface were white
-    /// and nothing stood between.
+    /// How likely a candidate becomes a trial link, relative to the others: what it would bring if the surface were
+    /// white and nothing stood between.
     fn strength(&self, linker: &Linker, v: &CompactLightVertex, eye: &EyeVertex) -> f32 {
         let cos_y = if v.technique == Technique::Merge { 1.0 } else { eye.hit.n().dot(v.wo).abs() + 0.05 };
         v.gain * cos_y * eye.gain * (linker.likely_weight(v, eye) + 0.02)
@@ -246,7 +228,7 @@ impl GKernel {
         let mut known = self.visibility.lock().unwrap_or_else(PoisonError::into_inner);
         match &*known {
             Some(estimate) if estimate.view == shot.view => estimate.clone(),
-            _ => known.insert(Arc::new(self.estimate_visibility(shot, calibration, stop))).clone(),
+            _ => known.insert(Arc::new(self.visibility_in(shot, calibration, stop))).clone(),
         }
     }
 
@@ -311,13 +293,12 @@ impl GKernel {
         let strength = |light: u32, eye: &EyeVertex| self.strength(linker, &traced.compact[light as usize], eye);
         let links = link::select(&candidates, &eyes, &self.groups(&eyes), linker.seed, |i| wanted[i], strength);
         let scores = linker.score(&links, &eyes);
-        let mut unoccluded = 0;
+        let unoccluded = scores.iter().filter(|score| score.visible).count();
         for (link, score) in links.iter().zip(scores) {
             let eye = &eyes[link.eye as usize];
             let sum =
                 eye.suffix.map_or_else(|| &mut radiance[eye.path as usize], |suffix| &mut suffixes[suffix as usize]);
             *sum += score.value;
-            unoccluded += u64::from(score.visible);
             rays += score.rays;
         }
         if linker.stop.load(Ordering::Relaxed) {
@@ -327,16 +308,11 @@ impl GKernel {
         for share in shares {
             radiance[share.path as usize] += share.factor * suffixes[share.suffix as usize];
         }
-        let c = &self.counts;
-        c.camera_paths.fetch_add(radiance.len() as u64, Ordering::Relaxed);
+        self.counts.add_block([radiance.len(), eyes.len(), candidates.len(), links.len(), unoccluded]);
         for ((tile, pixel), value) in places.into_iter().zip(radiance) {
             tiles[tile as usize].add(pixel as usize, value);
         }
         tiles.iter_mut().for_each(|tile| tile.samples += 1);
-        c.eye_vertices.fetch_add(eyes.len() as u64, Ordering::Relaxed);
-        c.candidates.fetch_add(candidates.len() as u64, Ordering::Relaxed);
-        c.requested.fetch_add(links.len() as u64, Ordering::Relaxed);
-        c.unoccluded.fetch_add(unoccluded, Ordering::Relaxed);
         rays
     }
 }
@@ -360,10 +336,7 @@ impl Integrator for GKernel {
         let visibility = self.visibility(shot, calibration, stop);
         let first = film.samples().0;
         let step = first / self.eye_paths;
-        let bandwidth = self.bandwidth(shot, step, calibration.h);
-        let scale = (calibration.links, calibration.variance_factor);
-        let weights = self.mis_weights(scale, &bandwidth, self.light_paths(shot));
-        let request = self.request(shot, step, bandwidth, calibration.plan(weights), stop);
+        let request = self.request(shot, step, self.plan(shot, step, calibration), stop);
         let (traced, mut rays) = self.traced(&request);
         let lights = &traced.lights;
         let aovs = film.aovs().to_vec();
@@ -382,29 +355,11 @@ impl Integrator for GKernel {
             };
             rays += film.tiles.par_chunks_mut(tiles_at_once).enumerate().map(block).sum::<u64>();
         }
-        self.counts.steps.fetch_add(1, Ordering::Relaxed);
-        self.counts.light_vertices.fetch_add(lights.vertices.len() as u64, Ordering::Relaxed);
+        self.counts.add_step(lights.vertices.len());
         Some(rays)
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
-        let of = |c: &AtomicU64| c.load(Ordering::Relaxed) as f64;
-        let c = &self.counts;
-        let eyes = of(&c.eye_vertices).max(1.0);
-        let requested = of(&c.requested);
-        vec![
-            ("h", self.calibration.get().map_or(0.0, |c| c.h[0].into())),
-            ("steps", of(&c.steps)),
-            ("steps_reused", of(&c.reused)),
-            ("light_vertices", of(&c.light_vertices)),
-            ("bytes_per_light_vertex", size_of::<LightVertex>() as f64),
-            ("camera_paths", of(&c.camera_paths)),
-            ("eye_vertices", eyes),
-            ("candidates_per_eye_vertex", of(&c.candidates) / eyes),
-            ("requested_per_eye_vertex", requested / eyes),
-            ("unoccluded_per_eye_vertex", of(&c.unoccluded) / eyes),
-            ("unoccluded_per_camera_path", of(&c.unoccluded) / of(&c.camera_paths).max(1.0)),
-            ("mean_visibility", of(&c.unoccluded) / requested.max(1.0)),
-        ]
+        self.counts.facts(self.calibration.get().map_or(0.0, |c| c.h[0]), size_of::<LightVertex>())
     }
 }

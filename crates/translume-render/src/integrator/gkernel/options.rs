@@ -9,47 +9,27 @@ use std::sync::{Mutex, OnceLock};
 pub(crate) const OPTIONS: [Choice; 8] = [
     Choice { name: "light-paths", default: "0", about: "light paths of a step; 0: an eighth as many as pixels" },
     Choice { name: "eye-paths", default: "1", about: "camera paths of a pixel in each step" },
-    Choice {
-        name: "shared",
-        default: "8",
-        about: "side of blocks of pixels whose camera paths share what they find; 1: pixels with noise of their own",
-    },
+    Choice { name: "shared", default: "8", about: "side of blocks of pixels whose camera paths share; 1: they do not" },
     Choice { name: "sharers", default: "4", about: "camera paths in such a block for each that goes on for all" },
     Choice { name: "links", default: "3", about: "unoccluded links of a camera path" },
     Choice { name: "unbiased", default: "false", about: "no bias at all, slower: converges to what path finds" },
     Choice {
         name: "caustics",
         default: "auto",
-        about: "merge photons behind mirrors and glass: `auto` does unless unbiased",
+        about: "merge photons behind mirrors and glass; auto: unless unbiased",
     },
-    Choice {
-        name: "emitters",
-        default: "true",
-        about: "sample lights at camera vertices as well; false: direct light by links alone",
-    },
+    Choice { name: "emitters", default: "true", about: "sample lights at camera vertices as well, not only by links" },
 ];
 
-const ALWAYS: &str = "it is always on now";
-const IN_2003: &str = "it is always on now; the method without it is `gkernel-2003`";
-const GONE: &str = "it did not pay; what it brought is in docs/decisions/0006-shared-camera-paths.md";
-
 /// Options that there were, and what became of them.
-pub(crate) const REMOVED: [(&str, &str); 15] = [
-    ("printed", "the method as published is one of its own, `gkernel-2003`"),
-    ("shrink", IN_2003),
-    ("normalise", IN_2003),
-    ("target", IN_2003),
-    ("importance", ALWAYS),
-    ("sobol", ALWAYS),
-    ("seen", ALWAYS),
-    ("edges", ALWAYS),
-    ("steady", ALWAYS),
-    ("acceptance", ALWAYS),
-    ("weights", IN_2003),
-    ("kernel", GONE),
-    ("quota", GONE),
-    ("keep", GONE),
-    ("correlation", GONE),
+pub(crate) const REMOVED: [(&[&str], &str); 4] = [
+    (&["printed"], "the method as published is one of its own, `gkernel-2003`"),
+    (&["shrink", "normalise", "target", "weights"], "it is always on; the method without it is `gkernel-2003`"),
+    (&["importance", "sobol", "seen", "edges", "steady", "acceptance"], "it is always on"),
+    (
+        &["kernel", "quota", "keep", "correlation"],
+        "it did not pay; what it brought is in docs/decisions/0006-shared-camera-paths.md",
+    ),
 ];
 
 impl GKernel {

@@ -11,12 +11,13 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use translume_core::sampler::Sampler;
 
-/// Rays more for a pixel at the silhouette of a light. A light is hundreds of times brighter than what it lights, so that how much of such a pixel it
-/// covers would be most of the noise of a picture, and takes next to nothing to find out.
-const EDGE_RAYS: u64 = 15;
+/// Rays more for a pixel at the silhouette of a light. A light is hundreds of times brighter than what it lights, so
+/// that how much of such a pixel it covers would be most of the noise of a picture, and takes next to nothing to find
+/// out.
+const SILHOUETTE_RAYS: u64 = 15;
 
-/// Least contrast around a pixel that is called an edge.
-const EDGE: f32 = 0.1;
+/// Least contrast around a pixel that is called a silhouette.
+const MIN_CONTRAST: f32 = 0.1;
 
 /// Side of the squares that groups are made in, over that of a group.
 const SPREAD: u32 = 2;
@@ -63,7 +64,7 @@ impl GKernel {
             let mut walks: Vec<CameraSubpath> =
                 pixels.map(|i| begin(shot, &eye, (number as u32, tile), (i, sample), &mut rays)).collect();
             if !walks.is_empty() {
-                sharpen(shot, (tile, sample), &eye, &mut walks, &mut rays);
+                supersample_silhouettes(shot, (tile, sample), &eye, &mut walks, &mut rays);
             }
             (walks, rays)
         };
@@ -100,8 +101,8 @@ fn begin(
     eye.begin((number, i as u32), tile.pixel(i), begin, sampler, rays)
 }
 
-/// Camera paths in groups of about `side`² pixels, by their place in the picture. Neighbours are in different groups, by chance: what is left of the noise that a
-/// group has in common looks like noise, not like blocks.
+/// Camera paths in groups of about `side`² pixels, by their place in the picture. Neighbours are in different groups,
+/// by chance: what is left of the noise that a group has in common looks like noise, not like blocks.
 fn groups<T>(walks: Vec<T>, pixel: impl Fn(&T) -> [u32; 2], side: u32, mut sampler: PathSampler) -> Vec<Vec<T>> {
     // The squares lie elsewhere for each sample, so that their borders do not show.
     let square = SPREAD * side;
@@ -133,11 +134,17 @@ fn groups<T>(walks: Vec<T>, pixel: impl Fn(&T) -> [u32; 2], side: u32, mut sampl
     all
 }
 
-/// Sends more rays through pixels at the silhouettes of lights, for what they see at once. Whether a pixel is one its neighbours say, not its own
-/// path, which counts as one ray more: no bias.
-fn sharpen(shot: &Shot, (tile, sample): (&Tile, u64), eye: &Eye, walks: &mut [CameraSubpath], rays: &mut u64) {
+/// Sends more rays through pixels at the silhouettes of lights, for what they see at once. Whether a pixel is one its
+/// neighbours say, not its own path, which counts as one ray more: no bias.
+fn supersample_silhouettes(
+    shot: &Shot,
+    (tile, sample): (&Tile, u64),
+    eye: &Eye,
+    walks: &mut [CameraSubpath],
+    rays: &mut u64,
+) {
     let [w, h] = tile.size.map(|n| n as usize);
-    let seen: Vec<f32> = walks.iter().map(|subpath| luminance(eye.sight(subpath))).collect();
+    let seen: Vec<f32> = walks.iter().map(|subpath| luminance(eye.direct_emission(subpath))).collect();
     if seen.iter().all(|s| *s == 0.0) {
         return;
     }
@@ -145,18 +152,18 @@ fn sharpen(shot: &Shot, (tile, sample): (&Tile, u64), eye: &Eye, walks: &mut [Ca
         let (x, y) = (i % w, i / w);
         let around = |n: usize, most: usize| n.saturating_sub(1)..(n + 2).min(most);
         let others = around(y, h).flat_map(|v| around(x, w).map(move |u| v * w + u)).filter(|j| *j != i);
-        let (least, most) = others.fold((f32::INFINITY, 0.0_f32), |(a, b), j| (a.min(seen[j]), b.max(seen[j])));
-        if most - least <= EDGE * most {
+        let (min, max) = others.fold((f32::INFINITY, 0.0_f32), |(a, b), j| (a.min(seen[j]), b.max(seen[j])));
+        if max - min <= MIN_CONTRAST * max {
             continue;
         }
-        *rays += EDGE_RAYS;
+        *rays += SILHOUETTE_RAYS;
         let along = |k| {
-            let (ray, weight) = shot.camera_ray_beside(tile, i, sample * EDGE_RAYS + k);
-            eye.sight_along(&ray) * weight
+            let (ray, weight) = shot.camera_ray_beside(tile, i, sample * SILHOUETTE_RAYS + k);
+            eye.direct_emission_along(&ray) * weight
         };
-        let part = 1.0 / (EDGE_RAYS + 1) as f32;
-        subpath.beside = (0..EDGE_RAYS).map(along).sum::<Rgb>() * part;
-        subpath.sight = part;
+        let part = 1.0 / (SILHOUETTE_RAYS + 1) as f32;
+        subpath.supersampled = (0..SILHOUETTE_RAYS).map(along).sum::<Rgb>() * part;
+        subpath.own_part = part;
     }
 }
 

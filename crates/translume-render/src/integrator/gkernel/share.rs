@@ -1,16 +1,19 @@
-//! Camera paths of neighbouring pixels share what they find beyond their first surface, and only some of them look for it.
+//! Camera paths of neighbouring pixels share what they find beyond their first surface, and only some of them look for
+//! it.
 //!
-//! Source: Bekaert, Sbert, Halton 2002: Accelerating path tracing by re-using paths. The camera paths of a group of pixels have their first
-//! vertices at x_1 … x_m. Some of them, the representatives C, go on past their second vertices y_j. Where y_j is Lambertian, what leaves it is the
-//! same towards all x_i that it sees from one side, so that each gets Σ_{j ∈ C} f_i(y_j) G V / S(y_j) times what path j found beyond,
-//! S(y) = Σ_{k ∈ C} p_k(y) V_k(y): the balance heuristic for |C| samples of one integral.
+//! Source: Bekaert, Sbert, Halton 2002: Accelerating path tracing by re-using paths. The camera paths of a group of
+//! pixels have their first vertices at x_1 … x_m. Some of them, the representatives C, go on past their second vertices
+//! y_j. Where y_j is Lambertian, what leaves it is the same towards all x_i that it sees from one side, so that each
+//! gets Σ_{j ∈ C} f_i(y_j) G V / S(y_j) times what path j found beyond, S(y) = Σ_{k ∈ C} p_k(y) V_k(y): the balance
+//! heuristic for |C| samples of one integral.
 //!
-//! What representatives hardly find is not left to them: y is shared with x_i ([`Group`]) only if p_i(y) ≤ S(y) times [`MAX_OWN`]; if not, path i
-//! goes on alone. Since that depends on x_1 … x_m and y only, and links at x_i to y ask the same, nothing is lost and nothing counts twice.
+//! What representatives hardly find is not left to them: y is shared with x_i ([`Group`]) only if p_i(y) ≤ S(y) times
+//! [`MAX_OWN`]; if not, path i goes on alone. Since that depends on x_1 … x_m and y only, and links at x_i to y ask the
+//! same, nothing is lost and nothing counts twice.
 //!
-//! Weights of links and emitter sampling depend on where a path comes from. They must sum to one for each path (x_i, y_j, …), but what was
-//! found beyond y_j is one number. So all take the weights that the first representative would have, with |C| times its density of y; links at x_i
-//! to a shared y as well.
+//! Weights of links and emitter sampling depend on where a path comes from. They must sum to one for each path (x_i,
+//! y_j, …), but what was found beyond y_j is one number. So all take the weights that the first representative would
+//! have, with |C| times its density of y; links at x_i to a shared y as well.
 
 use super::eye::EyeVertex;
 use crate::Rgb;
@@ -20,7 +23,7 @@ use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 use translume_bxdf::Flags;
 
-/// Least cosine between the normals of a group, and largest distance over that of the camera.
+/// Smallest cosine between the normals of a group, and largest distance over that of the camera.
 const MIN_COS: f32 = 0.8;
 const MAX_APART: f32 = 0.25;
 
@@ -67,7 +70,8 @@ pub(crate) enum Continuation {
 }
 
 impl<'a> ReuseTarget<'a> {
-    /// That of a walk of path number `path`, at most `most` segments: where it meets its first surface, unless that may let it pass.
+    /// That of a walk of path number `path`, at most `most` segments: where it meets its first surface, unless that may
+    /// let it pass.
     pub(crate) fn of(world: &'a World, path: u32, walk: &[Vertex], most: u32) -> Option<Self> {
         let vertex = *walk.first()?;
         let shading = world.shading(&vertex.hit);
@@ -85,7 +89,8 @@ impl<'a> ReuseTarget<'a> {
     }
 }
 
-/// How `walk`, that of `group[own]`, goes on past its second vertex; the first `representatives` of the group are those.
+/// How `walk`, that of `group[own]`, goes on past its second vertex; the first `representatives` of the group are
+/// those.
 pub(crate) fn continuation(
     world: &World,
     (group, representatives, own): (&[ReuseTarget], usize, usize),
@@ -149,8 +154,8 @@ pub(crate) fn continuation(
 }
 
 impl Group {
-    /// The camera vertex whose weights a link from `y` to the surface at `hit` takes, if it is one that paths share, and the
-    /// factor on its density; `clear`: nothing at all is in between.
+    /// The camera vertex whose weights a link from `y` to the surface at `hit` takes, if it is one that paths share,
+    /// and the factor on its density; `clear`: nothing at all is in between.
     pub(crate) fn representative<'e, 'a>(
         &self,
         world: &World,

@@ -1,20 +1,23 @@
-//! Weights of the techniques that can make a path: connecting or merging at any of its vertices, the camera's path meeting the light, or emitter sampling
-//! at the camera's last vertex.
+//! Weights of the techniques that can make a path: connecting or merging at any of its vertices, the camera's path
+//! meeting the light, or emitter sampling at the camera's last vertex.
 //!
-//! Source: Bekaert et al. 2003, §4.1, with other densities than eq. 9 has; Georgiev et al. 2012 and SmallVCM for the sums along the two walks. For the path
-//! z₀ … z_k let p_j be the density of the technique at z_j: the light's walk made z₀ … z_{j−1}, the camera's z_j … z_k. It is
-//! p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i). p^L(z_j) is missing: the radius R ∝ 1/√p^L(z_j) cancels it, so that a link is
-//! what it is, a connection of z_{j−1} to z_j that is made g_j = c χ_j times, c = N π h² times the part of the candidates that become trial links. χ_j ≤ 1, the
-//! acceptance, is the part of the c links that footprints of bounded size leave at flat angles ([`LightPdf`]): trusted like the others, rare links of large
-//! value would be fireflies. A photon is merged g_j = N π r² p^L(z_j) times. g = 1 for the camera's path that meets the light; emitter sampling has the density
-//! p^D(z₀) in the place of p^E(z₀), and counts more the less its samples differ ([`MisWeights::emitters`]).
+//! Source: Bekaert et al. 2003, §4.1, with other densities than eq. 9 has; Georgiev et al. 2012 and SmallVCM for the
+//! sums along the two walks. For the path z₀ … z_k let p_j be the density of the technique at z_j: the light's walk
+//! made z₀ … z_{j−1}, the camera's z_j … z_k. It is p_j = g_j Π_{i<j} p^L(z_i) Π_{i≥j} p^E(z_i). p^L(z_j) is missing:
+//! the radius R ∝ 1/√p^L(z_j) cancels it, so that a link is what it is, a connection of z_{j−1} to z_j that is made g_j
+//! = c χ_j times, c = N π h² times the part of the candidates that become trial links. χ_j ≤ 1, the acceptance, is the
+//! part of the c links that footprints of bounded size leave at flat angles ([`LightPdf`]): trusted like the others,
+//! rare links of large value would be fireflies. A photon is merged g_j = N π r² p^L(z_j) times. g = 1 for the camera's
+//! path that meets the light; emitter sampling has the density p^D(z₀) in the place of p^E(z₀), and counts more the
+//! less its samples differ ([`MisWeights::emitters`]).
 //!
-//! The weight is p_j²/Σ p_i² (Veach's power heuristic). Neighbours differ by one vertex, so the sum runs along the two walks, and what depends on one
-//! walk alone is kept with its vertices, over the square of the technique's density there:
+//! The weight is p_j²/Σ p_i² (Veach's power heuristic). Neighbours differ by one vertex, so the sum runs along the two
+//! walks, and what depends on one walk alone is kept with its vertices, over the square of the technique's density
+//! there:
 //!
 //! - dVCM: of emitter sampling at the light path's first vertex (in SmallVCM this starts the sums as well);
-//! - dVC: of all that may happen farther back on the walk, connections and merges in one sum, since at a vertex only one of them can (SmallVCM's dVC
-//!   and dVM, which differ by the constant factor of a merge).
+//! - dVC: of all that may happen farther back on the walk, connections and merges in one sum, since at a vertex only
+//!   one of them can (SmallVCM's dVC and dVM, which differ by the constant factor of a merge).
 //!
 //! What paths of a group have in common is in `share`.
 
@@ -26,8 +29,8 @@ use super::light::MIN_COS;
 pub(crate) struct MisWeights {
     /// c.
     pub(crate) links: f32,
-    /// Variance factor of samples of a light at a camera path's first vertex, see [`super::calibration`]; farther on they count as one, since what they have
-    /// in common with others, the path to there, varies. 0: none are taken.
+    /// Variance factor of samples of a light at a camera path's first vertex, see [`super::calibration`]; farther on
+    /// they count as one, since what they have in common with others, the path to there, varies. 0: none are taken.
     pub(crate) emitters: f32,
     /// N π r² of photon merging; 0 where there is none.
     pub(crate) photons: f32,
@@ -40,7 +43,8 @@ pub(crate) struct MisWeights {
 pub(crate) struct LightPdf {
     /// Density per area.
     pub(crate) pdf: f32,
-    /// χ: the part of the c links that light paths which arrive here can make, where footprints are not as large as their density asks for.
+    /// χ: the part of the c links that light paths which arrive here can make, where footprints are not as large as
+    /// their density asks for.
     pub(crate) acceptance: f32,
 }
 
@@ -120,7 +124,8 @@ impl MisWeights {
     }
 }
 
-/// The weight of a technique of this squared density among others, of which these are the sums of squares on either side.
+/// The weight of a technique of this squared density among others, of which these are the sums of squares on either
+/// side.
 #[inline]
 pub(crate) fn mis_weight(own: f32, camera: f32, light: f32) -> f32 {
     own / (own + camera + light)

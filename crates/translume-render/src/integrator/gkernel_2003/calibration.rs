@@ -19,7 +19,8 @@ pub(super) struct View {
     /// Its number, seed and size.
     pub(super) key: (u32, u64, [u32; 2]),
     pub(super) h: f32,
-    /// Expected merges in a footprint of typical area, per density of light paths: weighs camera paths that meet a light.
+    /// Expected merges in a footprint of typical area, per density of light paths: weighs camera paths that meet a
+    /// light.
     pub(super) kappa: f32,
     /// Of each camera vertex, by block of tiles and camera path of a pixel.
     pub(super) visibility: Mutex<HashMap<(usize, u64), Vec<VisibilityEstimate>>>,

@@ -1,24 +1,27 @@
-//! The generalized kernel method as it was published: light paths and camera paths are linked where a camera vertex y lies in the footprint
-//! of a light vertex x_k, and the link asks x_{k-1} for the light that it sends to y.
+//! The generalized kernel method as it was published: light paths and camera paths are linked where a camera vertex y
+//! lies in the footprint of a light vertex x_k, and the link asks x_{k-1} for the light that it sends to y.
 //!
-//! Source: Bekaert, Slusallek, Cools, Havran, Seidel 2003: A custom designed density estimator for light transport, MPI-I-2003-4-004.
-//! `gkernel` is the same method with what was found to be better since; this one is for comparisons.
+//! Source: Bekaert, Slusallek, Cools, Havran, Seidel 2003: A custom designed density estimator for light transport,
+//! MPI-I-2003-4-004. `gkernel` is the same method with what was found to be better since; this one is for comparisons.
 //!
-//! Corrected (errata): p in eq. 7 is a density per area; the score evaluates x_{k-1} towards y (see `arrival`); links are divided by the expected
-//! number of their selections; eq. 9 extends to all merges of a path, p_j/p_{j+1} = p^E(z_j)/p^L(z_{j+1}), merges at and behind vertices that scatter in single
-//! directions have none, and a camera path that meets a light is one more technique: it counts as a merge in a footprint of typical area would at z_0.
+//! Corrected (errata): p in eq. 7 is a density per area; the score evaluates x_{k-1} towards y (see `arrival`); links
+//! are divided by the expected number of their selections; eq. 9 extends to all merges of a path, p_j/p_{j+1} =
+//! p^E(z_j)/p^L(z_{j+1}), merges at and behind vertices that scatter in single directions have none, and a camera path
+//! that meets a light is one more technique: it counts as a merge in a footprint of typical area would at z_0.
 //!
-//! Here are footprints, weights, acceptance, trial links, scores and the step; walks and calibration have files of their own, the index of footprints and the
-//! light's half of a link are shared with `gkernel`.
+//! Here are footprints, weights, acceptance, trial links, scores and the step; walks and calibration have files of
+//! their own, the index of footprints and the light's half of a link are shared with `gkernel`.
 //!
-//! Limits: darker at edges, too bright at flat angles (eq. 6 is approximated); no caustics of mirrors and glass but by camera paths that meet the
-//! light; pixels keep the noise of their one set of camera paths, however many steps are averaged; after `--resume` visibility is learnt anew.
+//! Limits: darker at edges, too bright at flat angles (eq. 6 is approximated); no caustics of mirrors and glass but by
+//! camera paths that meet the light; pixels keep the noise of their one set of camera paths, however many steps are
+//! averaged; after `--resume` visibility is learnt anew.
 
 mod calibration;
 mod walks;
 
 use super::arrival::Arrival;
 use super::footprints::{self, Candidates, Footprint, Link};
+use super::link_counts::LinkCounts;
 use super::{Choice, Integrator, Options, Settings};
 use crate::film::{Aov, Film, TILE, Tile};
 use crate::render::Shot;
@@ -28,7 +31,7 @@ use crate::{PathSampler, Result, Rgb};
 use calibration::{View, VisibilityEstimate};
 use rayon::prelude::*;
 use std::f32::consts::PI;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
 use translume_core::sampler::Sampler;
 use walks::{EyeVertex, LightPaths, LightVertex, flag, times};
@@ -48,12 +51,8 @@ pub struct GKernel2003 {
     /// The paper's M.
     links: f32,
     view: Mutex<Option<Arc<View>>>,
-    counts: [AtomicU64; COUNTS.len()],
+    counts: LinkCounts,
 }
-
-/// What is counted, for `--json`.
-const COUNTS: [&str; 7] =
-    ["steps", "light_vertices", "camera_paths", "eye_vertices", "candidates", "requested", "unoccluded"];
 
 /// Camera paths of a block.
 const BLOCK: usize = 1 << 15;
@@ -68,7 +67,8 @@ fn acceptance(v: &LightVertex) -> f32 {
     1.0 / (v.radius * v.radius * v.hit.n().dot(v.hit.wo).abs()) // [Bekaert 2003, Eq. 10]
 }
 
-/// The weight of a merge at z_j: its density over that of all techniques, where `light` and `camera` are the sums of p_i/p_j on either side.
+/// The weight of a merge at z_j: its density over that of all techniques, where `light` and `camera` are the sums of
+/// p_i/p_j on either side.
 fn merge_weight(light: f32, camera: f32) -> f32 {
     1.0 / (1.0 + light + camera) // [Bekaert 2003, Eq. 9]
 }
@@ -82,7 +82,7 @@ impl GKernel2003 {
         let light_paths = options.number("light-paths", 0..=50_000_000)? as u32;
         let eye_paths = options.number("eye-paths", 1..=1 << 40)?;
         let links = options.number("links", 1..=1000)? as f32;
-        Ok(Self { settings, light_paths, eye_paths, links, view: Mutex::default(), counts: Default::default() })
+        Ok(Self { settings, light_paths, eye_paths, links, view: Mutex::default(), counts: LinkCounts::default() })
     }
 
     /// What is known of this view; h is calibrated where it is new.
@@ -128,7 +128,8 @@ impl GKernel2003 {
         if segments > self.limits().segments {
             return None;
         }
-        // The partial score of x_0 … x_{k-1}, y, the shadow ray's other end, and the sum of p_j/p_{k-1} over techniques j < k - 1.
+        // The partial score of x_0 … x_{k-1}, y, the shadow ray's other end, and the sum of p_j/p_{k-1} over techniques
+        // j < k - 1.
         let (arrival, segment, beyond) = if v.first {
             let start = &lights.starts[v.parent as usize];
             let arrival = Arrival::from_light(world, starts, start, p)?;
@@ -150,10 +151,11 @@ impl GKernel2003 {
         let cos_x = v.hit.n().dot(v.hit.wo).abs();
         let light = times(f.pdf_to_light * arrival.onto_parent / (arrival.pdf_across * cos_y), beyond);
         let camera = times(f.pdf_to_camera * y.back / y.pdf, y.d_vm);
-        let kernel = 1.0 / (PI * v.radius * v.radius * cos_x * v.passed); // its kernel, constant over the footprint
+        let partial = arrival.value * f.f * cos_y; // [Bekaert 2003, Eq. 8], the partial score
+        let kernel = 1.0 / (PI * v.radius * v.radius * cos_x * v.passed); // [Bekaert 2003, Eq. 8], the kernel
         let paths = self.path_count(shot) as f32;
         let factor = kernel * merge_weight(light, camera) * link.weight / (v.survival * paths);
-        Some(arrival.value * f.f * cos_y * visible * y.throughput * factor) // [Bekaert 2003, Eq. 8]
+        Some(partial * visible * y.throughput * factor) // [Bekaert 2003, Eq. 8]
     }
 
     /// One block of tiles in a step: camera paths, candidate links, trial links, scores.
@@ -198,8 +200,8 @@ impl GKernel2003 {
         }
         tiles.iter_mut().for_each(|tile| tile.samples += 1);
         let unoccluded = scores.iter().flatten().count();
-        let counted = [eyes.radiance.len(), eyes.vertices.len(), candidates.len(), links.len(), unoccluded];
-        self.counts[2..].iter().zip(counted).for_each(|(sum, n)| _ = sum.fetch_add(n as u64, Relaxed));
+        let counts = [eyes.radiance.len(), eyes.vertices.len(), candidates.len(), links.len(), unoccluded];
+        self.counts.add_block(counts);
         eyes.rays + links.len() as u64
     }
 }
@@ -232,24 +234,12 @@ impl Integrator for GKernel2003 {
             };
             rays += film.tiles.par_chunks_mut(tiles_at_once).enumerate().map(block).sum::<u64>();
         }
-        self.counts[0].fetch_add(1, Relaxed);
-        self.counts[1].fetch_add(lights.vertices.len() as u64, Relaxed);
+        self.counts.add_step(lights.vertices.len());
         Some(rays)
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
-        let counts: Vec<f64> = self.counts.iter().map(|c| c.load(Relaxed) as f64).collect();
-        let h = self.view.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0.0, |view| view.h.into());
-        let [_, _, _, eyes, candidates, requested, unoccluded] = counts[..] else { return Vec::new() };
-        let per_eye = |n: f64| n / eyes.max(1.0);
-        let mut facts = vec![("h", h)];
-        facts.extend(COUNTS[..4].iter().copied().zip(counts.iter().copied()));
-        facts.extend([
-            ("candidates_per_eye_vertex", per_eye(candidates)),
-            ("requested_per_eye_vertex", per_eye(requested)),
-            ("unoccluded_per_eye_vertex", per_eye(unoccluded)),
-            ("mean_visibility", unoccluded / requested.max(1.0)),
-        ]);
-        facts
+        let view = self.view.lock().unwrap_or_else(PoisonError::into_inner);
+        self.counts.facts(view.as_ref().map_or(0.0, |view| view.h), size_of::<LightVertex>())
     }
 }

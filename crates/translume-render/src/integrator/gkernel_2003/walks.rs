@@ -1,8 +1,10 @@
 //! Walks from the lights and from the camera, with what eq. 9 takes of them.
 //!
-//! Source: Bekaert et al. 2003, §5. Weights are sums of ratios p_j/p_{j+1} along either walk; what depends on one walk alone is kept with its vertices (dVM, SmallVCM's name for the
-//! partial sum over merges). Camera paths are traced again in each step instead of being stored, with the same random numbers.
+//! Source: Bekaert et al. 2003, §5. Weights are sums of ratios p_j/p_{j+1} along either walk; what depends on one walk
+//! alone is kept with its vertices (dVM, SmallVCM's name for the partial sum over merges). Camera paths are traced
+//! again in each step instead of being stored, with the same random numbers.
 
+use super::super::arrival::onto;
 use super::{GKernel2003, footprint_radius, merge_weight};
 use crate::film::Tile;
 use crate::light::{FarLight, LightPoint, LightStart};
@@ -37,7 +39,8 @@ pub(super) struct LightVertex {
     pub(super) passed: f32,
     /// Density of the vertex before by a walk from here, per density of the direction.
     pub(super) back: f32,
-    /// dVM, Σ p_j/p_{k-1} over techniques j < k-1 at vertices nearer to the light, up to p^E(x_{k-2}) (SmallVCM's name for the sum over merges).
+    /// dVM, Σ p_j/p_{k-1} over techniques j < k-1 at vertices nearer to the light, up to p^E(x_{k-2}) (SmallVCM's name
+    /// for the sum over merges).
     pub(super) d_vm: f32,
 }
 
@@ -82,11 +85,6 @@ pub(super) fn flag(open: bool) -> f32 {
     f32::from(u8::from(open))
 }
 
-/// Density per area at `to` of a walk from `from`, per density of the direction; `d` is parallel to the way.
-fn onto(from: Vec3, to: &SurfaceHit, d: Vec3) -> f32 {
-    Density::Angle { from, pdf_w: 1.0 }.at(to.point.p, to.n(), d)
-}
-
 impl GKernel2003 {
     /// The light paths of a step, in an order that does not depend on threads.
     pub(super) fn trace_lights(
@@ -120,7 +118,8 @@ impl GKernel2003 {
         all
     }
 
-    /// Camera paths number `set` of those pixels of `tiles` that are `wanted`: the same ones whenever they are asked for.
+    /// Camera paths number `set` of those pixels of `tiles` that are `wanted`: the same ones whenever they are asked
+    /// for.
     pub(super) fn trace_eyes<'a>(
         &self,
         shot: &Shot<'a>,
@@ -216,14 +215,16 @@ impl<'a, 'b> EyePath<'a, 'b> {
         path
     }
 
-    /// dVM of a vertex with this parent y' that is `delta` itself: Σ p_j/p_{y'} over y' and the vertices nearer to the camera.
+    /// dVM of a vertex with this parent y' that is `delta` itself: Σ p_j/p_{y'} over y' and the vertices nearer to the
+    /// camera.
     fn d_vm(&self, parent: u32, delta: bool) -> f32 {
         let Some(p) = self.walk.get(parent as usize) else { return 0.0 };
         let back = self.walk.get(p.parent as usize).map_or(0.0, |before| before.pdf_back);
         flag(!p.delta && !delta) + times(back / p.pdf, self.d_vm[parent as usize])
     }
 
-    /// Its vertices that links can end at, as path number `path` of at most `max` segments, and the radiance of the lights that it meets.
+    /// Its vertices that links can end at, as path number `path` of at most `max` segments, and the radiance of the
+    /// lights that it meets.
     fn vertices(&self, path: u32, max: u32) -> (Vec<EyeVertex<'a>>, Rgb) {
         let (mut vertices, mut met) = (Vec::new(), Rgb::ZERO);
         for v in self.walk {
@@ -256,7 +257,8 @@ impl<'a, 'b> EyePath<'a, 'b> {
         escape.throughput * self.world.lights().far_lights(escape.d).map(one).sum::<Rgb>()
     }
 
-    /// The weight of meeting a light at `point` with density `pdf`, where it sends light along `d`, `onto` the vertex before per density of that.
+    /// The weight of meeting a light at `point` with density `pdf`, where it sends light along `d`, `onto` the vertex
+    /// before per density of that.
     fn weight_of_meeting(&self, (point, d, pdf): (&LightPoint, Vec3, f32), onto: f32, d_vm: f32) -> f32 {
         let lights = self.world.lights();
         let (begin, next) = lights.pdf_start(lights.by_power(), point, d);
