@@ -170,12 +170,7 @@ fn methods_agree_and_halves_differ_by_noise_alone() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let scene = room();
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| film(&scene, "path", UNLIMITED, 20, 14))
-    };
-    let one = with(1);
-    assert_eq!(one, with(4));
+    let one = same_for_threads(4, || film(&scene, "path", UNLIMITED, 20, 14));
     assert_ne!(one, film(&scene, "path", UNLIMITED, 20, 15));
 }
 

@@ -53,11 +53,7 @@ fn edges_are_as_bright_as_the_rest() {
 #[test]
 fn threads_do_not_matter_and_options_do() {
     let scene = room();
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| kernel(&scene, &[], 2))
-    };
-    assert_eq!(with(1).rgb(), with(3).rgb());
+    same_for_threads(3, || kernel(&scene, &[], 2).rgb());
     assert_ne!(kernel(&scene, &[("light-paths", "1000")], 2).rgb(), kernel(&scene, &[], 2).rgb());
     for wrong in [[("unbiased", "maybe"), ("links", "5")], [("caustics", "true"), ("unbiased", "true")]] {
         let wrong = wrong.map(|(name, value)| (name.to_owned(), value.to_owned()));

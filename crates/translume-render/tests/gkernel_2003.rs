@@ -89,11 +89,7 @@ fn vertices_get_as_many_unoccluded_links_as_they_should() {
 #[test]
 fn threads_do_not_matter_and_options_do() {
     let scene = room();
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| kernel(&scene, &[], 3))
-    };
-    assert_eq!(with(1).rgb(), with(3).rgb());
+    same_for_threads(3, || kernel(&scene, &[], 3).rgb());
     assert_ne!(kernel(&scene, &[("links", "2")], 2).rgb(), kernel(&scene, &[], 2).rgb());
     let wrong = [("links".to_owned(), "0".to_owned())];
     assert!(integrator::with_options("gkernel-2003", UNLIMITED, &wrong).is_err());

@@ -414,12 +414,7 @@ fn furnaces_and_form_factors() {
 #[test]
 fn threads_do_not_change_a_bit_of_splats() {
     let scene = made_of("glass");
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| film(&scene, "bdpt", UNLIMITED, 20, 14))
-    };
-    let one = with(1);
-    assert_eq!(one, with(2));
+    let one = same_for_threads(2, || film(&scene, "bdpt", UNLIMITED, 20, 14));
     assert_ne!(one, film(&scene, "bdpt", UNLIMITED, 20, 15));
 }
 

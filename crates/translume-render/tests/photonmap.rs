@@ -65,11 +65,7 @@ fn density_is_irradiance() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let scene = glass_ball(0.3);
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| photons(&scene, &[("photons", "20000")], 4))
-    };
-    assert_eq!(with(1), with(2));
+    same_for_threads(2, || photons(&scene, &[("photons", "20000")], 4));
 }
 
 #[test]

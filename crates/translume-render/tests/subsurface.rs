@@ -184,11 +184,7 @@ fn threads_do_not_change_a_bit() {
     m.shape(Geometry::Mesh(Arc::new(lump())), DAffine3::IDENTITY, material);
     m.constant(1.0);
     m.camera(DVec3::new(0.0, 2.0, 9.0), DVec3::ZERO, 0.5);
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| film(&m.0, "path", UNLIMITED, 16, 5))
-    };
-    assert_eq!(with(1), with(3));
+    same_for_threads(3, || film(&m.0, "path", UNLIMITED, 16, 5));
 }
 
 #[test]

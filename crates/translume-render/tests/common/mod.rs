@@ -123,6 +123,21 @@ pub(crate) fn estimates(film: &Film) -> Vec<stats::Estimate> {
     pairs.map(|(&m, &v)| stats::Estimate { mean: m.into(), variance: v.into() }).collect()
 }
 
+/// What one thread makes, which must be the same to the bit as what `threads` make.
+#[track_caller]
+pub(crate) fn same_for_threads<T: PartialEq + std::fmt::Debug + Send>(
+    threads: usize,
+    make: impl Fn() -> T + Sync,
+) -> T {
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(&make)
+    };
+    let one = with(1);
+    assert_eq!(one, with(threads));
+    one
+}
+
 /// Mean of the picture's green and its standard error.
 pub(crate) fn mean(film: &Film) -> (f64, f64) {
     let channels = film.channels();
